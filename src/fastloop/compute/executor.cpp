@@ -1,0 +1,18 @@
+#include "fastloop/compute/executor.hpp"
+
+#include <tbb/parallel_for.h>
+
+namespace fastloop {
+
+void Executor::for_ranges(std::size_t n, std::size_t grain,
+                          const std::function<void(std::size_t, std::size_t)>& body) const {
+  if (n == 0) return;
+  if (kind_ == Kind::kReference || n <= grain) {
+    body(0, n);
+    return;
+  }
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, n, grain == 0 ? 1 : grain),
+                    [&](const tbb::blocked_range<std::size_t>& r) { body(r.begin(), r.end()); });
+}
+
+}  // namespace fastloop
