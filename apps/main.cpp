@@ -1,0 +1,28 @@
+#include <exception>
+#include <iostream>
+
+#include "commands.hpp"
+#include "fastloop/core/error.hpp"
+
+int main(int argc, char** argv) {
+  using namespace fastloop;
+  CLI::App app{
+      "fastloop: stereo, stereo-inertial and RGB-D SLAM.\n"
+      "Start with: fastloop simulate room --out /tmp/room && fastloop run /tmp/room --out /tmp/result"};
+  app.require_subcommand(1);
+  app.set_help_all_flag("--help-all", "Help of every command");
+  int exit_code = apps::kExitOk;
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? apps::kExitOk : apps::kExitBadInput;
+  } catch (const Error& e) {
+    std::cerr << "fastloop: " << e.what() << "\n";
+    return apps::kExitBadInput;
+  } catch (const std::exception& e) {
+    std::cerr << "fastloop: " << e.what() << "\n";
+    return 1;
+  }
+  return exit_code;
+}
