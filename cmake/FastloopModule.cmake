@@ -9,7 +9,8 @@
 
 add_library(fastloop_warnings INTERFACE)
 target_compile_options(fastloop_warnings INTERFACE -Wall -Wextra -Wshadow -Wnon-virtual-dtor
-                       -Woverloaded-virtual $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
+                       -Woverloaded-virtual $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>
+                       $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
 add_library(fastloop_sanitizers INTERFACE)
 if(FASTLOOP_SANITIZE)
   target_compile_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE}
