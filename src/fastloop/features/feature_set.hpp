@@ -1,7 +1,6 @@
 #pragma once
 
 #include <array>
-#include <bit>
 #include <cstdint>
 #include <cstring>
 #include <span>
@@ -16,20 +15,30 @@ struct Descriptor {
 };
 static_assert(sizeof(Descriptor) == 32);
 
-/// Number of differing bits, 0..256.
-inline int hamming_distance(const Descriptor& a, const Descriptor& b) {
-  int d = 0;
-  for (int i = 0; i < 4; ++i) d += std::popcount(a.words[i] ^ b.words[i]);
-  return d;
+/// Number of differing bits, 0..256. Counts in parallel within the words: without a flag that
+/// promises a population count instruction std::popcount is a library call per word. For many
+/// candidates at a time use hamming.hpp, which finds out what the CPU has.
+constexpr int hamming_distance(const Descriptor& a, const Descriptor& b) {
+  std::uint64_t bytes = 0;  // eight counters of one byte each, <= 32
+  for (int i = 0; i < 4; ++i) {
+    std::uint64_t v = a.words[i] ^ b.words[i];
+    v -= (v >> 1) & 0x5555555555555555ULL;
+    v = (v & 0x3333333333333333ULL) + ((v >> 2) & 0x3333333333333333ULL);
+    bytes += (v + (v >> 4)) & 0x0f0f0f0f0f0f0f0fULL;
+  }
+  // Their sum can be 256, one more than a byte holds: add pairs first.
+  bytes = (bytes & 0x00ff00ff00ff00ffULL) + ((bytes >> 8) & 0x00ff00ff00ff00ffULL);
+  return static_cast<int>((bytes * 0x0001000100010001ULL) >> 48);
 }
 
 /// Scale pyramid of the extractor.
 struct PyramidScales {
   int levels = 8;
   float factor = 1.2f;
-  std::vector<float> scale;       ///< [levels] factor^level
-  std::vector<float> sigma2;      ///< [levels] scale^2: variance of a keypoint's position, pixels^2
+  std::vector<float> scale;   ///< [levels] factor^level
+  std::vector<float> sigma2;  ///< [levels] scale^2: variance of a keypoint's position, pixels^2
 
+  /// @throws InvalidArgument on num_levels < 1 or > 255, or scale_factor <= 1.
   PyramidScales(int num_levels = 8, float scale_factor = 1.2f);
 };
 
@@ -41,12 +50,23 @@ struct KeypointGrid {
   std::vector<std::uint32_t> start;    ///< [kCols * kRows + 1]
   std::vector<std::uint16_t> indices;  ///< [num_keypoints]
 
+  /// Keypoints outside the image go to the nearest cell.
+  /// @throws InvalidArgument on more than 65,535 keypoints, unequal extents or an empty image.
   void build(std::span<const float> x, std::span<const float> y, int image_width, int image_height);
+
+  /// Column or row of the cell a pixel falls in, clamped to the grid.
+  int column_of(float x_px) const { return clamped(x_px / cell_width_px, kCols); }
+  int row_of(float y_px) const { return clamped(y_px / cell_height_px, kRows); }
+
+ private:
+  static int clamped(float cell, int count) {
+    return !(cell > 0) ? 0 : cell >= static_cast<float>(count) ? count - 1 : static_cast<int>(cell);
+  }
 };
 
-/// Features of one frame: structure of arrays, never changed after construction. Pixels of the rig's
-/// left camera (rectified, or raw fisheye). Right coordinates are NaN and depth is <= 0 where there is
-/// no stereo match. At most 65,535 keypoints.
+/// Features of one frame: structure of arrays, never changed after construction. Pixels of the
+/// rig's left camera (rectified, or raw fisheye). Right coordinates are NaN and depth is <= 0 where
+/// there is no stereo match. At most 65,535 keypoints.
 struct FeatureSet {
   std::vector<float> x, y;              ///< [n] pixels
   std::vector<float> angle_rad;         ///< [n] orientation, [0, 2 pi)

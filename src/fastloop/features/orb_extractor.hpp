@@ -11,9 +11,9 @@ struct OrbOptions {
   int num_features = 1200;
   int levels = 8;
   float scale_factor = 1.2f;
-  int fast_threshold = 20;       ///< grey levels
-  int fast_min_threshold = 7;    ///< used in cells where the first threshold finds nothing
-  void validate() const;         ///< throws InvalidArgument naming the field
+  int fast_threshold = 20;     ///< grey levels
+  int fast_min_threshold = 7;  ///< used in cells where the first threshold finds nothing
+  void validate() const;       ///< throws InvalidArgument naming the field
 };
 
 /// Image pyramid of a frame, kept for sub-pixel stereo refinement.
