@@ -1,5 +1,7 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <random>
 
 #include "fastloop/matching/projection_search.hpp"
@@ -182,6 +184,22 @@ inline Scene random_scene(unsigned seed, bool fisheye, const SceneSize& size) {
     scene.skipped.push_back(skipped);
   }
   return scene;
+}
+
+inline std::vector<ProjectionMatches> run(const Executor& executor, const Scene& scene,
+                                          const ProjectionSearchOptions& options) {
+  const auto targets = scene.targets();
+  std::vector<ProjectionMatches> results(targets.size());
+  search_by_projection(executor, scene.rig, scene.scales, targets, scene.landmarks.view(), options,
+                       results);
+  return results;
+}
+
+inline void expect_equal(const ProjectionMatches& a, const ProjectionMatches& b) {
+  EXPECT_EQ(a.keypoint, b.keypoint);
+  EXPECT_EQ(a.distance, b.distance);
+  EXPECT_EQ(a.in_view, b.in_view);
+  EXPECT_EQ(a.count, b.count);
 }
 
 }  // namespace fastloop::matching::testing
