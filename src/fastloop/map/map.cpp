@@ -1,0 +1,332 @@
+#include "fastloop/map/map.hpp"
+
+#include <algorithm>
+
+#include "fastloop/core/error.hpp"
+
+namespace fastloop::map {
+namespace {
+
+auto lower_bound_keyframe(auto& list, KeyframeId id) {
+  return std::lower_bound(list.begin(), list.end(), id,
+                          [](const auto& entry, KeyframeId key) { return entry.keyframe < key; });
+}
+
+}  // namespace
+
+Map::Map(const StereoRig& rig, const PyramidScales& scales) {
+  rig_ = rig;
+  scales_ = scales;
+}
+
+MapId Map::start_map() {
+  MapInfo info;
+  info.id = MapId(static_cast<std::uint32_t>(maps_.size()));
+  maps_.push_back(info);
+  ++version_;
+  return info.id;
+}
+
+KeyframeId Map::add_keyframe(MapId map_id, std::shared_ptr<const KeyframeData> data, const NavState& state,
+                             std::shared_ptr<const PreintegratedImu> imu_from_previous) {
+  const KeyframeId id(static_cast<std::uint32_t>(keyframes_.size()));
+  MapInfo& info = maps_.at(map_id.value());
+  Keyframe k;
+  k.landmarks.assign(data->features->size(), LandmarkId{});
+  k.data = std::move(data);
+  k.map = map_id;
+  k.state = state;
+  k.previous = info.last_keyframe;
+  k.imu_from_previous = std::move(imu_from_previous);
+  keyframes_.push_back(std::move(k));
+  covisibility_.push_back({});
+  if (info.last_keyframe.valid()) keyframes_.mutate(info.last_keyframe.value()).next = id;
+  if (!info.first_keyframe.valid()) info.first_keyframe = id;
+  info.last_keyframe = id;
+  ++info.num_keyframes;
+  ++num_keyframes_;
+  ++version_;
+  return id;
+}
+
+void Map::remove_keyframe(KeyframeId id) {
+  const MapInfo& info = map_info(keyframe(id).map);
+  if (id == info.first_keyframe || id == info.last_keyframe)
+    throw InvalidArgument("the first and the last keyframe of a map cannot be removed");
+  const std::vector<LandmarkId> seen = keyframe(id).landmarks;
+  for (const LandmarkId l : seen)
+    if (l.valid()) remove_observation(l, id);
+  relink_children(id);
+
+  Keyframe& k = keyframes_.mutate(id.value());
+  Keyframe& previous = keyframes_.mutate(k.previous.value());
+  previous.next = k.next;
+  Keyframe& next = keyframes_.mutate(k.next.value());
+  next.previous = k.previous;
+  if (k.imu_from_previous && next.imu_from_previous)
+    next.imu_from_previous = std::make_shared<PreintegratedImu>(
+        k.imu_from_previous->joined(*next.imu_from_previous).rebased(previous.state.bias));
+  else
+    next.imu_from_previous = nullptr;
+
+  k.anchor_of_removed = k.parent.valid() ? k.parent : k.previous;
+  k.T_anchor_body = T_world_body(k.anchor_of_removed).inverse() * k.state.T_world_body;
+  k.removed = true;
+  k.landmarks.clear();
+  k.landmarks.shrink_to_fit();
+  // The features of a removed keyframe are never read again: only its stamp and frame are kept.
+  auto bare = std::make_shared<KeyframeData>(*k.data);
+  bare->features = nullptr;
+  k.data = std::move(bare);
+  k.imu_from_previous = nullptr;
+  --maps_[k.map.value()].num_keyframes;
+  --num_keyframes_;
+  ++version_;
+}
+
+void Map::relink_children(KeyframeId removed) {
+  const KeyframeId grandparent = keyframe(removed).parent;
+  const MapId map = keyframe(removed).map;
+  for (std::size_t i = 0; i < keyframes_.size(); ++i) {
+    if (keyframes_[i].removed || keyframes_[i].parent != removed || keyframes_[i].map != map) continue;
+    // The best live covisible keyframe older than the child keeps the tree free of cycles.
+    KeyframeId best = grandparent;
+    int best_shared = 0;
+    for (const CovisibilityEdge& e : covisibility_[i])
+      if (e.keyframe.value() < i && e.keyframe != removed && e.shared > best_shared) {
+        best = e.keyframe;
+        best_shared = e.shared;
+      }
+    keyframes_.mutate(i).parent = best;
+  }
+}
+
+LandmarkId Map::add_landmark(KeyframeId keyframe_id, std::uint32_t keypoint, const Vector3d& p_world) {
+  const LandmarkId id(static_cast<std::uint32_t>(landmarks_.size()));
+  Landmark l;
+  l.anchor = keyframe_id;
+  l.first_keyframe = keyframe_id;
+  l.p_anchor = keyframe(keyframe_id).state.T_world_body.inverse() * p_world;
+  landmarks_.push_back(std::move(l));
+  ++num_landmarks_;
+  ++version_;
+  add_observation(id, keyframe_id, keypoint);
+  refresh_landmark(id);
+  return id;
+}
+
+void Map::remove_landmark(LandmarkId id) {
+  const std::vector<Observation> observations = landmark(id).observations;
+  for (const Observation& o : observations) {
+    keyframes_.mutate(o.keyframe.value()).landmarks[o.keypoint] = LandmarkId{};
+    for (const Observation& other : observations)
+      if (other.keyframe < o.keyframe) change_shared(o.keyframe, other.keyframe, -1);
+  }
+  Landmark& l = landmarks_.mutate(id.value());
+  l.anchor = KeyframeId{};
+  l.observations.clear();
+  l.observations.shrink_to_fit();
+  --num_landmarks_;
+  ++version_;
+}
+
+bool Map::add_observation(LandmarkId id, KeyframeId keyframe_id, std::uint32_t keypoint) {
+  if (keyframe(keyframe_id).landmarks[keypoint].valid()) return false;
+  const auto& present = landmark(id).observations;
+  const auto at = lower_bound_keyframe(present, keyframe_id);
+  if (at != present.end() && at->keyframe == keyframe_id) return false;
+  for (const Observation& o : present) change_shared(keyframe_id, o.keyframe, +1);
+  auto& observations = landmarks_.mutate(id.value()).observations;
+  observations.insert(lower_bound_keyframe(observations, keyframe_id), Observation{keyframe_id, keypoint});
+  keyframes_.mutate(keyframe_id.value()).landmarks[keypoint] = id;
+  ++version_;
+  return true;
+}
+
+void Map::remove_observation(LandmarkId id, KeyframeId keyframe_id, int min_observers) {
+  const auto& present = landmark(id).observations;
+  const auto at = lower_bound_keyframe(present, keyframe_id);
+  if (at == present.end() || at->keyframe != keyframe_id) return;
+  if (static_cast<int>(present.size()) - 1 < std::max(1, min_observers)) {
+    remove_landmark(id);
+    return;
+  }
+  const Vector3d p = p_world(id);
+  Landmark& l = landmarks_.mutate(id.value());
+  const auto it = lower_bound_keyframe(l.observations, keyframe_id);
+  keyframes_.mutate(keyframe_id.value()).landmarks[it->keypoint] = LandmarkId{};
+  l.observations.erase(it);
+  for (const Observation& o : l.observations) change_shared(keyframe_id, o.keyframe, -1);
+  if (l.anchor == keyframe_id) {
+    const Vector3d normal = keyframe(keyframe_id).state.T_world_body.rotation * l.normal_anchor.cast<double>();
+    l.anchor = l.observations.front().keyframe;
+    const SE3& T_world_anchor = keyframe(l.anchor).state.T_world_body;
+    l.p_anchor = T_world_anchor.inverse() * p;
+    l.normal_anchor = (T_world_anchor.rotation.conjugate() * normal).cast<float>();
+  }
+  ++version_;
+}
+
+void Map::replace_landmark(LandmarkId loser, LandmarkId winner) {
+  if (loser == winner) return;
+  const std::vector<Observation> observations = landmark(loser).observations;
+  const std::uint32_t visible = landmark(loser).visible, found = landmark(loser).found;
+  remove_landmark(loser);
+  landmarks_.mutate(loser.value()).replaced_by = winner;
+  for (const Observation& o : observations) add_observation(winner, o.keyframe, o.keypoint);
+  count_visible(winner, visible, found);
+  refresh_landmark(winner);
+}
+
+void Map::set_state(KeyframeId id, const NavState& state) {
+  keyframes_.mutate(id.value()).state = state;
+  ++version_;
+  ++pose_version_;
+}
+
+void Map::set_p_world(LandmarkId id, const Vector3d& p) {
+  const SE3 T_body_world = keyframe(landmark(id).anchor).state.T_world_body.inverse();
+  landmarks_.mutate(id.value()).p_anchor = T_body_world * p;
+  ++version_;
+}
+
+void Map::transform_map(MapId map, const SE3& T_new_old) {
+  for (std::size_t i = 0; i < keyframes_.size(); ++i) {
+    if (keyframes_[i].map != map || keyframes_[i].removed) continue;
+    NavState& s = keyframes_.mutate(i).state;
+    s.T_world_body = T_new_old * s.T_world_body;
+    s.v_world = T_new_old.rotation * s.v_world;
+  }
+  ++version_;
+  ++pose_version_;
+}
+
+void Map::set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu) {
+  keyframes_.mutate(id.value()).imu_from_previous = std::move(imu);
+  ++version_;
+}
+
+void Map::refresh_landmark(LandmarkId id) {
+  const Landmark& now = landmark(id);
+  const Vector3d p = p_world(id);
+  // At most this many observers vote for the descriptor; the newest are the most like what comes next.
+  constexpr std::size_t kMaxVoters = 24;
+  const std::size_t n = now.observations.size();
+  const std::size_t voters = std::min(n, kMaxVoters);
+
+  std::vector<Descriptor> descriptors;
+  descriptors.reserve(voters);
+  Vector3d normal_sum = Vector3d::Zero();
+  for (std::size_t i = 0; i < n; ++i) {
+    const Observation& o = now.observations[i];
+    normal_sum += (p - T_world_camera(o.keyframe).translation).normalized();
+    if (i + voters >= n) descriptors.push_back(keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
+  }
+  std::size_t best = 0;
+  int best_median = 257;
+  std::vector<int> distances(descriptors.size());
+  for (std::size_t i = 0; i < descriptors.size(); ++i) {
+    for (std::size_t j = 0; j < descriptors.size(); ++j) distances[j] = hamming_distance(descriptors[i], descriptors[j]);
+    const auto middle = distances.begin() + static_cast<std::ptrdiff_t>((distances.size() - 1) / 2);
+    std::nth_element(distances.begin(), middle, distances.end());
+    if (*middle < best_median) {
+      best_median = *middle;
+      best = i;
+    }
+  }
+
+  const auto anchor_observation = std::find_if(now.observations.begin(), now.observations.end(),
+                                               [&](const Observation& o) { return o.keyframe == now.anchor; });
+  const std::uint8_t octave = keyframe(now.anchor).data->features->octave[anchor_observation->keypoint];
+  const double distance = (p - T_world_camera(now.anchor).translation).norm();
+  const Eigen::Quaterniond R_world_anchor = keyframe(now.anchor).state.T_world_body.rotation;
+
+  Landmark& l = landmarks_.mutate(id.value());
+  l.descriptor = descriptors[best];
+  l.normal_anchor = (R_world_anchor.conjugate() * normal_sum.normalized()).cast<float>();
+  l.max_distance_m = static_cast<float>(distance * scales_.scale[octave]);
+  l.min_distance_m = l.max_distance_m / scales_.scale.back();
+}
+
+void Map::count_visible(LandmarkId id, std::uint32_t visible, std::uint32_t found) {
+  Landmark& l = landmarks_.mutate(id.value());
+  l.visible += visible;
+  l.found += found;
+}
+
+void Map::attach_to_spanning_tree(KeyframeId id) {
+  if (map_info(keyframe(id).map).first_keyframe == id) return;
+  KeyframeId best = keyframe(id).previous;
+  int shared = 0;
+  for (const CovisibilityEdge& e : covisible(id))
+    if (e.keyframe < id && keyframe(e.keyframe).map == keyframe(id).map && e.shared > shared) {
+      best = e.keyframe;
+      shared = e.shared;
+    }
+  keyframes_.mutate(id.value()).parent = best;
+}
+
+void Map::change_shared(KeyframeId a, KeyframeId b, int change) {
+  if (a == b) return;
+  const auto apply = [&](KeyframeId from, KeyframeId to) {
+    auto& edges = covisibility_.mutate(from.value());
+    auto it = lower_bound_keyframe(edges, to);
+    if (it == edges.end() || it->keyframe != to) it = edges.insert(it, CovisibilityEdge{to, 0});
+    it->shared += change;
+    if (it->shared <= 0) edges.erase(it);
+  };
+  apply(a, b);
+  apply(b, a);
+}
+
+std::optional<std::string> Map::find_inconsistency() const {
+  const auto name = [](auto id) { return std::to_string(id.value()); };
+  std::vector<std::vector<int>> shared(keyframes_.size());
+  std::size_t live_landmarks = 0, live_keyframes = 0;
+  for (auto& row : shared) row.assign(keyframes_.size(), 0);
+  for (std::size_t i = 0; i < landmarks_.size(); ++i) {
+    const LandmarkId id(static_cast<std::uint32_t>(i));
+    const Landmark& l = landmarks_[i];
+    if (l.removed()) continue;
+    ++live_landmarks;
+    bool anchor_observes = false;
+    if (l.observations.empty()) return "landmark " + name(id) + " has no observation";
+    for (const Observation& o : l.observations) {
+      if (!contains(o.keyframe)) return "landmark " + name(id) + " is seen by removed keyframe " + name(o.keyframe);
+      if (keyframe(o.keyframe).landmarks[o.keypoint] != id)
+        return "keyframe " + name(o.keyframe) + " does not know landmark " + name(id);
+      anchor_observes |= o.keyframe == l.anchor;
+      for (const Observation& other : l.observations)
+        if (o.keyframe != other.keyframe) ++shared[o.keyframe.value()][other.keyframe.value()];
+    }
+    if (!anchor_observes) return "anchor of landmark " + name(id) + " does not observe it";
+    if (!p_world(id).allFinite()) return "landmark " + name(id) + " is not finite";
+  }
+  for (std::size_t i = 0; i < keyframes_.size(); ++i) {
+    const KeyframeId id(static_cast<std::uint32_t>(i));
+    const Keyframe& k = keyframes_[i];
+    if (k.removed) continue;
+    ++live_keyframes;
+    for (std::size_t p = 0; p < k.landmarks.size(); ++p) {
+      const LandmarkId l = k.landmarks[p];
+      if (!l.valid()) continue;
+      if (!contains(l)) return "keyframe " + name(id) + " sees removed landmark " + name(l);
+      const auto it = lower_bound_keyframe(landmark(l).observations, id);
+      if (it == landmark(l).observations.end() || it->keyframe != id || it->keypoint != p)
+        return "landmark " + name(l) + " does not know keyframe " + name(id);
+    }
+    for (const CovisibilityEdge& e : covisible(id))
+      if (shared[i][e.keyframe.value()] != e.shared)
+        return "covisibility of " + name(id) + " and " + name(e.keyframe) + " is not the number of shared landmarks";
+    std::size_t edges = 0;
+    for (const int s : shared[i]) edges += s > 0;
+    if (edges != covisible(id).size()) return "covisibility list of keyframe " + name(id) + " is incomplete";
+    if (id != map_info(k.map).first_keyframe && (!contains(k.parent) || k.parent >= id))
+      return "keyframe " + name(id) + " has no live older parent";
+    if (k.previous.valid() && keyframe(k.previous).next != id) return "temporal links of " + name(id) + " are broken";
+  }
+  if (live_landmarks != num_landmarks_ || live_keyframes != num_keyframes_) return "entity counts are wrong";
+  return std::nullopt;
+}
+
+}  // namespace fastloop::map

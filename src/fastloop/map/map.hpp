@@ -1,0 +1,64 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "fastloop/map/snapshot.hpp"
+
+namespace fastloop::map {
+
+/// The map, held by one owner (the mapping worker). Everyone else reads `publish()`ed snapshots.
+///
+/// Invariants, checked by `find_inconsistency`: observations and keyframe entries name each other;
+/// covisibility counts equal shared landmarks; anchors observe their landmark; links lead to live entities.
+class Map : public Snapshot {
+ public:
+  Map(const StereoRig& rig, const PyramidScales& scales);
+
+  /// Immutable copy of the present state.
+  std::shared_ptr<const Snapshot> publish() const { return std::make_shared<const Snapshot>(*this); }
+
+  MapId start_map();
+  MapInfo& mutable_info(MapId id) { return maps_[id.value()]; }
+
+  /// Appends a keyframe to a map; it becomes the temporal successor of the map's last keyframe.
+  KeyframeId add_keyframe(MapId map, std::shared_ptr<const KeyframeData> data, const NavState& state,
+                          std::shared_ptr<const PreintegratedImu> imu_from_previous);
+  /// Removes a keyframe that is not the first of its map: observations dissolve, children get new parents,
+  /// IMU measurements of its two neighbours are joined.
+  void remove_keyframe(KeyframeId id);
+
+  /// New landmark anchored in and observed by `keyframe`; the keypoint must be free.
+  LandmarkId add_landmark(KeyframeId keyframe, std::uint32_t keypoint, const Vector3d& p_world);
+  void remove_landmark(LandmarkId id);
+  /// False when the keypoint is taken or the keyframe sees the landmark already.
+  bool add_observation(LandmarkId id, KeyframeId keyframe, std::uint32_t keypoint);
+  /// Removes the landmark as well when fewer than `min_observers` keyframes would be left.
+  void remove_observation(LandmarkId id, KeyframeId keyframe, int min_observers = 1);
+  /// Moves all observations of `loser` to `winner` where they do not collide, then removes `loser`.
+  void replace_landmark(LandmarkId loser, LandmarkId winner);
+
+  void set_state(KeyframeId id, const NavState& state);
+  void set_p_world(LandmarkId id, const Vector3d& p_world);
+  /// Rotates and moves one whole map: T_new_old applied to poses, velocities.
+  void transform_map(MapId map, const SE3& T_new_old);
+  void set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu);
+  void set_parent(KeyframeId child, KeyframeId parent) { keyframes_.mutate(child.value()).parent = parent; }
+
+  /// Representative descriptor (least median distance to the others), viewing direction, distance range.
+  void refresh_landmark(LandmarkId id);
+  void count_visible(LandmarkId id, std::uint32_t visible, std::uint32_t found);
+
+  /// Chooses the best covisible keyframe as parent (the previous one when there is none).
+  void attach_to_spanning_tree(KeyframeId id);
+
+  /// First violated invariant, in words.
+  std::optional<std::string> find_inconsistency() const;
+
+ private:
+  void change_shared(KeyframeId a, KeyframeId b, int change);
+  void relink_children(KeyframeId removed);
+};
+
+}  // namespace fastloop::map
