@@ -10,8 +10,10 @@ int main(int argc, char** argv) {
       "fastloop: stereo, stereo-inertial and RGB-D SLAM.\n"
       "Start with: fastloop simulate room --out /tmp/room && fastloop run /tmp/room --out /tmp/result"};
   app.require_subcommand(1);
+  app.set_version_flag("--version", FASTLOOP_VERSION);
   app.set_help_all_flag("--help-all", "Help of every command");
   int exit_code = apps::kExitOk;
+  apps::add_eval_command(app, exit_code);
 
   try {
     app.parse(argc, argv);
