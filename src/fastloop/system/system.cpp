@@ -1,0 +1,159 @@
+#include "fastloop/system/system.hpp"
+
+#include <mutex>
+
+#include "fastloop/core/error.hpp"
+#include "fastloop/core/logging.hpp"
+#include "fastloop/system/mapping_worker.hpp"
+#include "fastloop/tracking/tracker.hpp"
+
+namespace fastloop::system {
+namespace {
+
+Mode resolve_mode(Mode wanted, const Calibration& c) {
+  const bool stereo = c.cameras.size() == 2;
+  if (wanted == Mode::kAuto) {
+    if (c.depth && !stereo) return Mode::kRgbd;
+    return c.imu ? Mode::kStereoInertial : Mode::kStereo;
+  }
+  if (wanted == Mode::kRgbd && !c.depth) throw InvalidArgument("mode rgbd needs a depth camera");
+  if (wanted != Mode::kRgbd && !stereo) throw InvalidArgument("stereo modes need two cameras");
+  if (wanted == Mode::kStereoInertial && !c.imu) throw InvalidArgument("mode stereo-inertial needs an IMU");
+  return wanted;
+}
+
+SystemOptions complete(SystemOptions options, Mode mode) {
+  options.mode = mode;
+  options.tracking.use_imu = options.mapping.use_imu = mode == Mode::kStereoInertial;
+  return options;
+}
+
+const char* event_kind(tracking::State before, tracking::State after) {
+  using tracking::State;
+  if (after == State::kTracking) return before == State::kRecentlyLost ? "relocalised" : "initialised";
+  if (after == State::kRecentlyLost) return "recently_lost";
+  return after == State::kLost ? "lost" : "initialising";
+}
+
+}  // namespace
+
+const char* to_string(Mode mode) {
+  switch (mode) {
+    case Mode::kAuto: return "auto";
+    case Mode::kStereo: return "stereo";
+    case Mode::kStereoInertial: return "stereo-inertial";
+    case Mode::kRgbd: return "rgbd";
+  }
+  return "unknown";
+}
+
+struct System::Impl {
+  SystemOptions options;
+  StageTimes times;
+  FrameBuilder builder;
+  tracking::Tracker tracker;
+  mutable std::mutex events_mutex;
+  std::vector<Event> events;
+  std::vector<FrameRecord> frames;
+  MappingWorker worker;
+  tracking::State state = tracking::State::kInitialising;
+  std::string initialising_reason;
+
+  Impl(const Calibration& calibration, const SystemOptions& given)
+      : options(complete(given, resolve_mode(given.mode, calibration))),
+        builder(calibration, options.orb),
+        tracker(options.tracking, calibration.imu, &times),
+        worker(builder.rig(), PyramidScales(options.orb.levels, options.orb.scale_factor), options.mapping,
+               !options.deterministic, [this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); }, &times) {}
+
+  void add_event(Event event) {
+    logger("system").info("{:.3f} {}: {}", to_seconds(event.stamp_ns), event.kind, event.reason);
+    const std::lock_guard lock(events_mutex);
+    events.push_back(std::move(event));
+  }
+
+  void on_imu(Nanoseconds stamp_ns, const mapping::ImuStep& step) {
+    using Kind = mapping::ImuStep::Kind;
+    const char* kind = step.kind == Kind::kInitialised ? "imu_initialised"
+                       : step.kind == Kind::kRefined   ? "imu_refined"
+                                                       : "imu_failed";
+    add_event({stamp_ns, kind, step.reason, {}});
+  }
+
+  void note_state(const FrameRecord& record, const std::string& reason) {
+    // A waiting initialisation would repeat itself every frame: only a change of state or the first reason counts.
+    const bool waiting = record.state == tracking::State::kInitialising && state == record.state;
+    if (waiting && (!initialising_reason.empty() || reason.empty())) return;
+    if (record.state != state || !reason.empty())
+      add_event({record.stamp_ns, event_kind(state, record.state), reason, {}});
+    initialising_reason = record.state == tracking::State::kInitialising ? reason : "";
+    state = record.state;
+  }
+};
+
+System::System(const Calibration& calibration, const SystemOptions& options) {
+  calibration.validate();
+  impl_ = std::make_unique<Impl>(calibration, options);
+}
+
+System::~System() = default;
+
+const FrameRecord& System::process(const FrameInput& input) {
+  Impl& s = *impl_;
+  if (!s.frames.empty() && input.stamp_ns <= s.frames.back().stamp_ns)
+    throw InvalidArgument("frames must come in time order");
+  const Stopwatch watch;
+  tracking::Tracker::Input in;
+  in.id = FrameId(static_cast<std::uint32_t>(s.frames.size()));
+  in.stamp_ns = input.stamp_ns;
+  in.features = std::make_shared<const FeatureSet>(s.builder.build(input, &s.times));
+  in.imu = &input.imu;
+  in.mapping_idle = s.options.deterministic || s.worker.idle();
+  tracking::TrackResult result = s.tracker.track(in, s.worker.snapshot());
+
+  FrameRecord record;
+  record.stamp_ns = input.stamp_ns;
+  record.state = result.state;
+  record.has_pose = result.has_pose;
+  record.live_T_world_body = result.T_world_body;
+  record.reference = result.reference;
+  record.T_reference_body = result.T_reference_body;
+  record.inliers = result.inliers;
+  record.tracking_ms = watch.elapsed_ms();
+  s.times.add("track_total", record.tracking_ms);
+  s.note_state(record, result.reason);
+  s.frames.push_back(record);
+  if (result.keyframe) {
+    // The first keyframe of a map is waited for: without it there is nothing to track against.
+    const bool wait = result.keyframe->starts_map;
+    s.worker.submit(std::move(*result.keyframe), wait);
+  }
+  return s.frames.back();
+}
+
+void System::finish() { impl_->worker.finish(); }
+
+Mode System::mode() const { return impl_->options.mode; }
+std::shared_ptr<const map::Snapshot> System::snapshot() const { return impl_->worker.snapshot(); }
+const std::vector<FrameRecord>& System::frames() const { return impl_->frames; }
+const StageTimes& System::times() const { return impl_->times; }
+
+std::vector<Event> System::events() const {
+  const std::lock_guard lock(impl_->events_mutex);
+  return impl_->events;
+}
+
+bool System::imu_initialized() const {
+  for (const map::MapInfo& m : snapshot()->maps())
+    if (m.imu_initialized) return true;
+  return false;
+}
+
+std::optional<SE3> System::T_world_body(const FrameRecord& frame) const {
+  if (!frame.has_pose) return std::nullopt;
+  const auto map = snapshot();
+  if (frame.reference.value() >= map->keyframe_slots()) return std::nullopt;
+  return map->T_world_body(frame.reference) * frame.T_reference_body;
+}
+
+}  // namespace fastloop::system

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "fastloop/core/timing.hpp"
+#include "fastloop/features/frame_builder.hpp"
+#include "fastloop/map/snapshot.hpp"
+#include "fastloop/mapping/options.hpp"
+#include "fastloop/sensor/calibration.hpp"
+#include "fastloop/sensor/frame.hpp"
+#include "fastloop/tracking/types.hpp"
+
+namespace fastloop::system {
+
+enum class Mode { kAuto, kStereo, kStereoInertial, kRgbd };
+const char* to_string(Mode mode);
+
+struct SystemOptions {
+  Mode mode = Mode::kAuto;          ///< kAuto: what the calibration offers
+  bool deterministic = false;       ///< everything in the calling thread, bit-identical from run to run
+  bool drop_when_busy = false;      ///< live operation: no keyframe is requested while mapping is behind
+  OrbOptions orb;
+  tracking::TrackingOptions tracking;
+  mapping::MappingOptions mapping;
+};
+
+/// Something a user may want to know later: state changes, IMU initialisation, new maps.
+struct Event {
+  Nanoseconds stamp_ns = 0;
+  std::string kind;                 ///< "initialised", "lost", "relocalised", "imu_initialised", ...
+  std::string reason;
+  MapId map;
+};
+
+/// One processed frame.
+struct FrameRecord {
+  Nanoseconds stamp_ns = 0;
+  tracking::State state = tracking::State::kInitialising;
+  bool has_pose = false;
+  SE3 live_T_world_body;            ///< as known at the time
+  KeyframeId reference;             ///< the final pose is that of the keyframe times T_reference_body
+  SE3 T_reference_body;
+  int inliers = 0;
+  double tracking_ms = 0;           ///< from images to pose
+};
+
+/// The SLAM system: feed frames in time order, read poses and the map.
+///
+/// Threads: `process` is called from one thread and returns the pose of that frame; mapping runs in a
+/// worker of its own (unless deterministic). `snapshot`, `events` may be read from any thread.
+/// Errors of the worker are rethrown by the next `process` or by `finish`.
+class System {
+ public:
+  System(const Calibration& calibration, const SystemOptions& options);
+  ~System();
+
+  /// @throws InvalidArgument on unordered stamps or images of the wrong size
+  const FrameRecord& process(const FrameInput& input);
+  /// Waits until mapping has done all that was asked; the map does not change any more. Idempotent.
+  void finish();
+
+  Mode mode() const;
+  std::shared_ptr<const map::Snapshot> snapshot() const;
+  const std::vector<FrameRecord>& frames() const;
+  std::vector<Event> events() const;
+  const StageTimes& times() const;
+  bool imu_initialized() const;
+
+  /// Final pose of a frame through its reference keyframe, if it was tracked.
+  std::optional<SE3> T_world_body(const FrameRecord& frame) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace fastloop::system
