@@ -25,4 +25,12 @@ class RotationHistogram {
   std::array<int, kBins> count_{};
 };
 
+/// Sets to kNoMatch the matches whose change of orientation is not among the most frequent. A match
+/// with a NaN angle neither votes nor is dropped.
+///
+/// @param first_angle_rad   [matches.size()]
+/// @param second_angle_rad  [any] indexed by the matches
+void drop_odd_rotations(std::span<const float> first_angle_rad,
+                        std::span<const float> second_angle_rad, std::span<std::int32_t> matches);
+
 }  // namespace fastloop::matching

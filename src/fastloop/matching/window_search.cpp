@@ -36,23 +36,6 @@ void search_all(const Executor& executor, const FeatureView& view,
   });
 }
 
-/// Drops the matches whose change of orientation is not one of the three most frequent.
-void drop_odd_rotations(const FeatureSet& features, std::span<const WindowQuery> queries,
-                        std::vector<std::int32_t>& matches) {
-  const auto change = [&](std::size_t i) {
-    return queries[i].angle_rad - features.angle_rad[matches[i]];
-  };
-  const auto votes = [&](std::size_t i) {
-    return matches[i] != kNoMatch && std::isfinite(queries[i].angle_rad);
-  };
-  RotationHistogram histogram;
-  for (std::size_t i = 0; i < matches.size(); ++i)
-    if (votes(i)) histogram.add(RotationHistogram::bin(change(i)));
-  const auto kept = histogram.kept();
-  for (std::size_t i = 0; i < matches.size(); ++i)
-    if (votes(i) && !kept[RotationHistogram::bin(change(i))]) matches[i] = kNoMatch;
-}
-
 }  // namespace
 
 std::vector<std::int32_t> search_windows(const Executor& executor, const FeatureSet& features,
@@ -67,7 +50,11 @@ std::vector<std::int32_t> search_windows(const Executor& executor, const Feature
     search_all<CpuDistances>(executor, view, queries, options, keys);
   std::vector<std::int32_t> matches(queries.size());
   resolve_claims(keys, features.size(), matches, {});
-  if (options.check_rotation) drop_odd_rotations(features, queries, matches);
+  if (options.check_rotation) {
+    std::vector<float> angles(queries.size());
+    for (std::size_t i = 0; i < queries.size(); ++i) angles[i] = queries[i].angle_rad;
+    drop_odd_rotations(angles, features.angle_rad, matches);
+  }
   return matches;
 }
 
