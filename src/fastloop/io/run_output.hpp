@@ -1,0 +1,35 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "fastloop/system/system.hpp"
+
+namespace fastloop::io {
+
+/// Facts of a run that the system itself does not know.
+struct RunFacts {
+  std::string dataset;
+  std::size_t frames_available = 0, frames_dropped = 0;
+  double wall_seconds = 0;
+  bool interrupted = false;
+  std::vector<std::string> remarks;  ///< of the data set
+  SE3 T_body_cam0;
+};
+
+/// Creates the folder and checks that files can be written there.
+/// @throws InputError when it cannot
+void prepare_output_folder(const std::filesystem::path& folder);
+
+/// Writes all result files of a finished run (docs/outputs.md).
+/// @throws InputError naming the file that could not be written completely
+void write_run_output(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts);
+
+/// Numbers of summary.json, for the closing lines of the program.
+struct RunSummary {
+  std::size_t frames = 0, tracked = 0, tracked_since_start = 0, frames_since_start = 0, keyframes = 0, landmarks = 0, maps = 0;
+};
+RunSummary summarize_run(const system::System& system);
+
+}  // namespace fastloop::io
