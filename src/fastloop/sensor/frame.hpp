@@ -14,8 +14,11 @@ struct FrameInput {
   ImageU8 left;
   ImageU8 right;                  ///< stereo; empty for RGB-D
   ImageF32 depth;                 ///< RGB-D; empty for stereo; metres
-  std::vector<ImuSample> imu;     ///< since the previous frame, up to and including the first sample at or
-                                  ///< after stamp_ns; stamps in camera time; empty without IMU
+  /// From the last sample at or before the previous frame's stamp, up to and including the first sample at
+  /// or after stamp_ns, as far as recorded: neighbouring frames share samples, so that both ends can be
+  /// interpolated. Strictly increasing stamps in camera time. The first frame of a data set gets the samples
+  /// around its own stamp only. Empty without IMU.
+  std::vector<ImuSample> imu;
 };
 
 }  // namespace fastloop
