@@ -217,7 +217,7 @@ void draw_errors(Canvas& canvas, const Evaluation& e) {
   draw_line(canvas, axes, points, gaps(e.stamps_ns), kErrorColour, 1.3);
   canvas.line(axes.left, axes.y(e.ate_m.rmse), axes.left + axes.width, axes.y(e.ate_m.rmse),
               "#222222", 0.8);
-  canvas.text(axes.left + axes.width - 4, axes.y(e.ate_m.rmse) - 4, "RMSE", "end", 12);
+  canvas.text(axes.left + axes.width + 4, axes.y(e.ate_m.rmse) + 4, "RMSE", "start", 11);
 }
 
 void draw_legend(Canvas& canvas, const Evaluation& e) {
@@ -229,7 +229,7 @@ void draw_legend(Canvas& canvas, const Evaluation& e) {
   };
   const auto row = [&](const std::string& name, const std::string& value) {
     canvas.text(700, y, name);
-    canvas.text(860, y, value);
+    canvas.text(820, y, value);
     y += 20;
   };
   key(kReferenceColour, "ground truth");

@@ -1,0 +1,40 @@
+#!/usr/bin/env bash
+# Installs what is missing, builds everything and runs the test suite.
+#
+#   scripts/test.sh                       the whole suite, release build
+#   scripts/test.sh --sanitize asan       under AddressSanitizer and UndefinedBehaviorSanitizer
+#   scripts/test.sh --sanitize tsan       under ThreadSanitizer
+#   scripts/test.sh [...] -- -R map       what follows -- goes to ctest
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+source scripts/setup.sh
+
+usage() {
+  sed -n '2,8s/^# \{0,1\}//p' scripts/test.sh
+}
+
+preset=release
+while [ "$#" -gt 0 ]; do
+  case "$1" in
+    --sanitize)
+      preset=${2:-}
+      case "$preset" in
+        asan | tsan) ;;
+        *) echo "test.sh: --sanitize takes asan or tsan" >&2; exit 2 ;;
+      esac
+      shift 2
+      ;;
+    -h | --help) usage; exit 0 ;;
+    --) shift; break ;;
+    *) echo "test.sh: unknown option $1" >&2; usage >&2; exit 2 ;;
+  esac
+done
+
+# The sanitizers stop at the first finding, so that ctest sees it.
+export ASAN_OPTIONS=${ASAN_OPTIONS:-detect_leaks=1:halt_on_error=1}
+export UBSAN_OPTIONS=${UBSAN_OPTIONS:-print_stacktrace=1:halt_on_error=1}
+export TSAN_OPTIONS=${TSAN_OPTIONS:-halt_on_error=1:second_deadlock_stack=1:suppressions=$PWD/cmake/tsan_suppressions.txt}
+
+fastloop_setup
+fastloop_build "$preset"
+ctest --test-dir "build/$preset" --parallel 2 --output-on-failure "$@"
