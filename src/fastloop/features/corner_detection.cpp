@@ -86,7 +86,53 @@ class SpreadGrid {
   std::vector<std::int32_t> winner_;
 };
 
+/// The circle of radius 3 around a pixel, clockwise, as in the FAST paper.
+constexpr int kCircle[16][2] = {{0, -3}, {1, -3},  {2, -2},  {3, -1}, {3, 0},  {3, 1},
+                                {2, 2},  {1, 3},   {0, 3},   {-1, 3}, {-2, 2}, {-3, 1},
+                                {-3, 0}, {-3, -1}, {-2, -2}, {-1, -3}};
+
+/// Largest threshold at which nine neighbouring pixels of the circle are all brighter, or all
+/// darker.
+int corner_score(const ImageU8& image, int x, int y) {
+  constexpr int kLength = 16 + 8;  // the circle and its first half again
+  std::int16_t difference[kLength], low[kLength], high[kLength];
+  const int centre = image.at(x, y);
+  for (int k = 0; k < 16; ++k)
+    difference[k] =
+        static_cast<std::int16_t>(image.at(x + kCircle[k][0], y + kCircle[k][1]) - centre);
+  for (int k = 16; k < kLength; ++k) difference[k] = difference[k - 16];
+  std::copy(difference, difference + kLength, low);
+  std::copy(difference, difference + kLength, high);
+  // Running minimum and maximum over 2, 4 and 8 pixels.
+  for (const int reach : {1, 2, 4})
+    for (int k = 0; k + reach < kLength; ++k) {
+      low[k] = std::min(low[k], low[k + reach]);
+      high[k] = std::max(high[k], high[k + reach]);
+    }
+  int score = 0;
+  for (int k = 0; k < 16; ++k) {
+    const int brighter = std::min(low[k], difference[k + 8]);
+    const int darker = -std::max(high[k], difference[k + 8]);
+    score = std::max({score, brighter, darker});
+  }
+  return score;
+}
+
+/// Abscissa of the vertex of the parabola through (-1, before), (0, at), (1, after).
+float vertex(int before, int at, int after) {
+  const int curvature = before - 2 * at + after;
+  if (curvature >= 0) return 0;
+  return std::clamp(0.5f * static_cast<float>(before - after) / static_cast<float>(curvature),
+                    -0.5f, 0.5f);
+}
+
 }  // namespace
+
+SubPixelOffset refine_corner(const ImageU8& image, int x, int y) {
+  const int at = corner_score(image, x, y);
+  return {vertex(corner_score(image, x - 1, y), at, corner_score(image, x + 1, y)),
+          vertex(corner_score(image, x, y - 1), at, corner_score(image, x, y + 1))};
+}
 
 void detect_corners(const ImageU8& image, int border_px, int threshold, int min_threshold,
                     std::vector<Corner>& corners) {

@@ -26,6 +26,13 @@ void detect_corners(const ImageU8& image, int border_px, int threshold, int min_
 std::vector<Corner> spread_evenly(std::span<const Corner> corners, int count, int image_width,
                                   int image_height);
 
+/// Peak of the corner score around a corner, from the scores of its four neighbours: within half a
+/// pixel.
+struct SubPixelOffset {
+  float x = 0, y = 0;
+};
+SubPixelOffset refine_corner(const ImageU8& image, int x, int y);
+
 /// How many features each level gets: in proportion to 1 / factor^level, sum = `total`; what a
 /// level cannot fill goes to the others.
 /// @param available  [levels] corners found

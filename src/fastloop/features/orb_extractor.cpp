@@ -19,6 +19,7 @@ constexpr double kTwoPi = 6.283185307179586;
 /// What one level contributes.
 struct LevelResult {
   std::vector<Corner> corners;
+  std::vector<SubPixelOffset> offsets;
   std::vector<PatchDirection> directions;
   std::vector<Descriptor> descriptors;
 };
@@ -98,10 +99,12 @@ void OrbExtractor::Impl::describe_level(int level, int count) {
   LevelResult& result = results[level];
   result.corners = spread_evenly(result.corners, count, image.width, image.height);
   const std::size_t n = result.corners.size();
+  result.offsets.resize(n);
   result.directions.resize(n);
   result.descriptors.resize(n);
   for (std::size_t i = 0; i < n; ++i) {
     const Corner& c = result.corners[i];
+    result.offsets[i] = refine_corner(image, c.x, c.y);
     result.directions[i] = patch_direction(image, c.x, c.y);
     result.descriptors[i] = describe(blurred[level], c.x, c.y, result.directions[i]);
   }
@@ -121,8 +124,8 @@ OrbFeatures OrbExtractor::Impl::collect() const {
     for (std::size_t i = 0; i < results[l].corners.size(); ++i) {
       const Corner& c = results[l].corners[i];
       const PatchDirection& d = results[l].directions[i];
-      f.x.push_back(scale.to_base_x(c.x));
-      f.y.push_back(scale.to_base_y(c.y));
+      f.x.push_back(scale.to_base_x(c.x + results[l].offsets[i].x));
+      f.y.push_back(scale.to_base_y(c.y + results[l].offsets[i].y));
       const double angle = std::atan2(d.sin, d.cos);
       const float positive = static_cast<float>(angle < 0 ? angle + kTwoPi : angle);
       f.angle_rad.push_back(positive < static_cast<float>(kTwoPi) ? positive : 0.f);

@@ -189,8 +189,13 @@ void GeneralMatcher::refine(std::size_t i, std::size_t j, FeatureSet& frame) con
   const PatchTemplate patch(left_level, x, y, static_cast<float>(seen_left.x()),
                             static_cast<float>(seen_left.y()));
   const auto f = [](double v) { return static_cast<float>(v); };
-  const PatchLine line{scale.to_level_x(f(start.x())),
-                       scale.to_level_y(f(start.y())),
+  // The patch is centred on a whole pixel; the line goes through the match of the keypoint itself.
+  const Eigen::Vector2d to_patch(x - scale.to_level_x(l.x[i]), y - scale.to_level_y(l.y[i]));
+  const Eigen::Vector2d centre =
+      Eigen::Vector2d(scale.to_level_x(f(start.x())), scale.to_level_y(f(start.y()))) +
+      warp * to_patch;
+  const PatchLine line{f(centre.x()),
+                       f(centre.y()),
                        f(direction.x()),
                        f(direction.y()),
                        {f(warp(0, 0)), f(warp(0, 1)), f(warp(1, 0)), f(warp(1, 1))}};
