@@ -68,7 +68,7 @@ std::string gibibytes(const char* key) {
 
 void print_versions() {
   print_row("fastloop", std::string(FASTLOOP_VERSION) + " (" + FASTLOOP_BUILD_TYPE + ")");
-  print_row("compiler", __VERSION__);
+  print_row("compiler", FASTLOOP_COMPILER);
   print_row("Eigen", std::to_string(EIGEN_WORLD_VERSION) + "." +
                          std::to_string(EIGEN_MAJOR_VERSION) + "." +
                          std::to_string(EIGEN_MINOR_VERSION));
@@ -119,8 +119,10 @@ std::string describe(const CameraCalibration& camera) {
   return out.str();
 }
 
-void print_dataset(const std::string& folder) {
-  const auto dataset = io::open_dataset(folder);
+void print_dataset(const std::string& folder, const std::string& calibration_file) {
+  io::OpenOptions options;
+  if (!calibration_file.empty()) options.calibration = calibration_file;
+  const auto dataset = io::open_dataset(folder, options);
   const Nanoseconds first = dataset->stamp_ns(0), last = dataset->stamp_ns(dataset->size() - 1);
   print_row("data set", folder + ": " + dataset->format());
   print_row("frames",
@@ -139,14 +141,14 @@ void print_dataset(const std::string& folder) {
 }
 
 struct DoctorArguments {
-  std::string dataset, output;
+  std::string dataset, calibration, output;
 };
 
 int run_doctor(const DoctorArguments& arguments) {
   print_versions();
   print_machine();
   const bool writable = arguments.output.empty() || check_writable(arguments.output);
-  if (!arguments.dataset.empty()) print_dataset(arguments.dataset);
+  if (!arguments.dataset.empty()) print_dataset(arguments.dataset, arguments.calibration);
   return writable ? kExitOk : kExitBadInput;
 }
 
@@ -158,6 +160,8 @@ void add_doctor_command(CLI::App& app, int& exit_code) {
       "doctor", "Show versions and the machine; check a data set and an output folder");
   command->add_option("DATASET", arguments->dataset,
                       "Also open this data set and show what is in it");
+  command->add_option("--calib", arguments->calibration,
+                      "Calibration file that replaces the data set's own");
   command->add_option("--out", arguments->output, "Also check that this folder can be written");
   command->footer("Example: fastloop doctor V1_01_easy --out results");
   command->callback([arguments, &exit_code] { exit_code = run_doctor(*arguments); });
