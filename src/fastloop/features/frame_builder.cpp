@@ -47,8 +47,8 @@ StereoRig general_rig(const CameraCalibration& left, const CameraCalibration& ri
   rig.T_right_left = right.T_body_camera.inverse() * left.T_body_camera;
   rig.T_body_left = left.T_body_camera;
   rig.baseline_m = rig.T_right_left.translation.norm();
-  if (!(rig.baseline_m > 0))
-    throw InvalidArgument("calibration: both cameras are at the same place");
+  if (!(rig.T_right_left.is_finite() && rig.baseline_m > 1e-6))
+    throw InvalidArgument("calibration: the two cameras must be finitely far apart");
   return rig;
 }
 

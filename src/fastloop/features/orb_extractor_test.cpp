@@ -17,32 +17,12 @@
 #include "fastloop/features/cv_view.hpp"
 #include "fastloop/features/hamming.hpp"
 #include "fastloop/features/orb_descriptor.hpp"
+#include "fastloop/features/scene_for_tests.hpp"
 
 namespace fastloop {
 namespace {
 
-/// Random rectangles of all sizes: corners on every pyramid level.
-ImageU8 textured_image(int width, int height, unsigned seed) {
-  std::mt19937 rng(seed);
-  ImageU8 image(width, height);
-  cv::Mat mat = as_mat(image);
-  mat.setTo(128);
-  const auto uniform = [&](int low, int high) {
-    return std::uniform_int_distribution<int>(low, high)(rng);
-  };
-  for (int k = 0; k < width * height / 300; ++k) {
-    const int size = 4 << uniform(0, 4);
-    const cv::RotatedRect box(cv::Point2f(uniform(0, width), uniform(0, height)),
-                              cv::Size2f(uniform(size / 2, size), uniform(size / 2, size)),
-                              uniform(0, 90));
-    cv::Point2f corners[4];
-    box.points(corners);
-    std::vector<cv::Point> polygon(corners, corners + 4);
-    cv::fillConvexPoly(mat, polygon, cv::Scalar(uniform(0, 255)), cv::LINE_AA);
-  }
-  cv::GaussianBlur(mat, mat, cv::Size(3, 3), 0.7);
-  return image;
-}
+using synthetic_scene::textured_image;
 
 double occupied_share(const OrbFeatures& f, int width, int height) {
   std::set<int> cells;

@@ -63,6 +63,8 @@ Rectification& Rectification::operator=(Rectification&&) noexcept = default;
 Rectification Rectification::of_pair(const CameraCalibration& left,
                                      const CameraCalibration& right) {
   const SE3 T_right_left = right.T_body_camera.inverse() * left.T_body_camera;
+  if (!T_right_left.is_finite() || T_right_left.translation.norm() < 1e-6)
+    throw InvalidArgument("stereo calibration: the two cameras must be finitely far apart");
   Rectification result;
   StereoRig& rig = result.rig_;
   rig.kind = StereoRig::Kind::kRectified;
