@@ -12,9 +12,9 @@
 namespace fastloop::optimization {
 
 struct BundlePose {
-  NavState state;                ///< velocity and bias are used only where IMU edges touch the pose
+  NavState state;  ///< velocity and bias are used only where IMU edges touch the pose
   bool pose_fixed = false;
-  bool motion_fixed = false;     ///< velocity and bias fixed
+  bool motion_fixed = false;  ///< velocity and bias fixed
 };
 
 struct BundleObservation {
@@ -39,26 +39,30 @@ struct BundleProblem {
 };
 
 struct BundleOptions {
-  int iterations = 5;            ///< first pass, with Huber kernel
-  int iterations_after_gate = 5; ///< second pass after outliers (chi2_gate) were taken out; 0 = none
-  bool robust = true;            ///< Huber kernel at sqrt(chi2_gate) in both passes
-  double max_seconds = 0;        ///< wall clock budget, 0 = none (never used in deterministic runs)
+  int iterations = 5;  ///< first pass, with Huber kernel
+  int iterations_after_gate =
+      5;                   ///< second pass after outliers (chi2_gate) were taken out; 0 = none
+  bool robust = true;      ///< Huber kernel at sqrt(chi2_gate) in both passes
+  double max_seconds = 0;  ///< wall clock budget, 0 = none (never used in deterministic runs)
   int threads = 1;
-  const std::atomic<bool>* cancel = nullptr;  ///< checked every iteration; the best state so far is kept
+  const std::atomic<bool>* cancel =
+      nullptr;  ///< checked every iteration; the best state so far is kept
   void validate() const;
 };
 
 struct BundleResult {
-  bool usable = false;           ///< finite and cost not higher than at the start; else problem is unchanged
+  bool usable = false;  ///< finite and cost not higher than at the start; else problem is unchanged
   bool cancelled = false;
-  std::string reason;            ///< why not usable
+  std::string reason;                       ///< why not usable
   double initial_cost = 0, final_cost = 0;  ///< robust cost over the observations kept
   int iterations = 0;
-  std::vector<std::uint8_t> outlier;  ///< [observations] failed chi2_gate (or behind the camera) at the end
+  std::vector<std::uint8_t>
+      outlier;  ///< [observations] failed chi2_gate (or behind the camera) at the end
 };
 
 /// Optimises poses, points (and velocities, biases) in place with Ceres and analytic derivatives.
-/// The result is the same for the same input and one thread. Throws InvalidArgument on indices out of range.
+/// The result is the same for the same input and one thread. Throws InvalidArgument on indices out
+/// of range.
 BundleResult adjust_bundle(BundleProblem& problem, const BundleOptions& options = {});
 
 }  // namespace fastloop::optimization

@@ -18,8 +18,10 @@ struct InertialInitProblem {
   Matrix3d R_world_gravity = Matrix3d::Identity();  ///< start value; identity-like start: computed from velocity differences if `guess_gravity`
   bool guess_gravity = true;
   bool estimate_scale = false;        ///< stereo and RGB-D: false
-  double gyro_prior_information = 1e2;    ///< of the bias about zero
-  double accel_prior_information = 1e5;
+  double gyro_prior_information = 1e2;    ///< of the bias about zero: standard deviation 0.1 rad / s
+  double accel_prior_information = 1e2;   ///< standard deviation 0.1 m / s^2
+  double position_stddev_m = 2e-3;        ///< of one keyframe pose from vision; widens the IMU's covariance
+  double rotation_stddev_rad = 5e-4;
 };
 
 struct InertialInitResult {
@@ -33,6 +35,9 @@ struct InertialInitResult {
   double accel_bias_stddev = 0;       ///< m / s^2, largest axis
 };
 
+/// Levenberg-Marquardt over all unknowns at once; the measurements are integrated again about the bias
+/// found and solved once more. Standard deviations are widened where the residuals exceed the model.
+/// @throws InvalidArgument on unequal extents or missing measurements
 InertialInitResult initialize_inertial(const InertialInitProblem& problem);
 
 }  // namespace fastloop::optimization
