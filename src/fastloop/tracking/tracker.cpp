@@ -135,6 +135,12 @@ void Tracker::follow_map_changes() {
     from_keyframe_ = snapshot_->contains(last_keyframe_);
   }
   if (imu_ready() && !velocity_known_) from_keyframe_ = true;
+  // Where the last frame became a keyframe, mapping has found or created landmarks for it since.
+  if (snapshot_->contains(last_keyframe_) && snapshot_->keyframe(last_keyframe_).data->frame == last_->id) {
+    last_->landmarks = snapshot_->keyframe(last_keyframe_).landmarks;
+    last_->reference = last_keyframe_;
+    last_->T_reference_body = snapshot_->T_world_body(last_keyframe_).inverse() * last_->state.T_world_body;
+  }
 }
 
 void Tracker::predict() {
@@ -216,7 +222,7 @@ bool Tracker::search_in_local_map() {
   matching::ProjectionMatches matches;
   {
     const ScopedTimer timer(times_, "local_map");
-    const KeyframeId recent = imu_ready() ? snapshot_->map_info(map_).last_keyframe : KeyframeId{};
+    const KeyframeId recent = imu_ready() ? snapshot_->map_info(map_).last_keyframe : last_->reference;
     local_map_.update(*snapshot_, any ? frame_.landmarks : last_->landmarks, recent, options_.max_local_keyframes);
 
     std::vector<std::uint8_t> blocked(frame_.landmarks.size(), 0), skipped(local_map_.ids().size(), 0);
