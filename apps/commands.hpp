@@ -15,5 +15,6 @@ void add_run_command(CLI::App& app, int& exit_code);
 void add_doctor_command(CLI::App& app, int& exit_code);
 void add_posegraph_command(CLI::App& app, int& exit_code);
 void add_simulate_posegraph_command(CLI::App& app, int& exit_code);
+void add_vocab_command(CLI::App& app, int& exit_code);
 
 }  // namespace fastloop::apps
