@@ -3,37 +3,19 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <opencv2/features2d.hpp>
 
-#include "fastloop/features/cv_view.hpp"
+#include "fastloop/features/corner_score.hpp"
 
 namespace fastloop {
 namespace {
 
 constexpr int kCellPx = 35;
-/// FAST looks three pixels around a corner, suppression one more.
-constexpr int kMargin = 4;
-
 /// Part [begin, end) of the image in which corners may lie.
 struct Area {
   int x_begin, y_begin, x_end, y_end;
   int width() const { return x_end - x_begin; }
   int height() const { return y_end - y_begin; }
 };
-
-/// Appends the corners within `area`, which must keep kMargin from the image's edge.
-void append_corners(const cv::Mat& image, const Area& area, int threshold,
-                    std::vector<cv::KeyPoint>& buffer, std::vector<Corner>& corners) {
-  const cv::Rect around(area.x_begin - kMargin, area.y_begin - kMargin, area.width() + 2 * kMargin,
-                        area.height() + 2 * kMargin);
-  cv::FAST(image(around), buffer, threshold, true);
-  for (const cv::KeyPoint& k : buffer) {
-    const int x = static_cast<int>(k.pt.x) + around.x, y = static_cast<int>(k.pt.y) + around.y;
-    if (x < area.x_begin || y < area.y_begin || x >= area.x_end || y >= area.y_end) continue;
-    corners.push_back({static_cast<std::int16_t>(x), static_cast<std::int16_t>(y),
-                       static_cast<std::int16_t>(k.response)});
-  }
-}
 
 /// The area cut into cells of about kCellPx.
 struct Cells {
@@ -45,11 +27,6 @@ struct Cells {
         rows(std::max(1, a.height() / kCellPx)) {}
   int column_of(int x) const { return (x - area.x_begin) * columns / area.width(); }
   int row_of(int y) const { return (y - area.y_begin) * rows / area.height(); }
-  /// First pixel whose cell is `column` (or beyond).
-  int x_begin(int column) const {
-    return area.x_begin + (column * area.width() + columns - 1) / columns;
-  }
-  int y_begin(int row) const { return area.y_begin + (row * area.height() + rows - 1) / rows; }
 };
 
 /// Number of occupied cells of a square grid; `best`, if given, receives the strongest corner of
@@ -86,38 +63,6 @@ class SpreadGrid {
   std::vector<std::int32_t> winner_;
 };
 
-/// The circle of radius 3 around a pixel, clockwise, as in the FAST paper.
-constexpr int kCircle[16][2] = {{0, -3}, {1, -3},  {2, -2},  {3, -1}, {3, 0},  {3, 1},
-                                {2, 2},  {1, 3},   {0, 3},   {-1, 3}, {-2, 2}, {-3, 1},
-                                {-3, 0}, {-3, -1}, {-2, -2}, {-1, -3}};
-
-/// Largest threshold at which nine neighbouring pixels of the circle are all brighter, or all
-/// darker.
-int corner_score(const ImageU8& image, int x, int y) {
-  constexpr int kLength = 16 + 8;  // the circle and its first half again
-  std::int16_t difference[kLength], low[kLength], high[kLength];
-  const int centre = image.at(x, y);
-  for (int k = 0; k < 16; ++k)
-    difference[k] =
-        static_cast<std::int16_t>(image.at(x + kCircle[k][0], y + kCircle[k][1]) - centre);
-  for (int k = 16; k < kLength; ++k) difference[k] = difference[k - 16];
-  std::copy(difference, difference + kLength, low);
-  std::copy(difference, difference + kLength, high);
-  // Running minimum and maximum over 2, 4 and 8 pixels.
-  for (const int reach : {1, 2, 4})
-    for (int k = 0; k + reach < kLength; ++k) {
-      low[k] = std::min(low[k], low[k + reach]);
-      high[k] = std::max(high[k], high[k + reach]);
-    }
-  int score = 0;
-  for (int k = 0; k < 16; ++k) {
-    const int brighter = std::min(low[k], difference[k + 8]);
-    const int darker = -std::max(high[k], difference[k + 8]);
-    score = std::max({score, brighter, darker});
-  }
-  return score;
-}
-
 /// Abscissa of the vertex of the parabola through (-1, before), (0, at), (1, after).
 float vertex(int before, int at, int after) {
   const int curvature = before - 2 * at + after;
@@ -128,39 +73,36 @@ float vertex(int before, int at, int after) {
 
 }  // namespace
 
-SubPixelOffset refine_corner(const ImageU8& image, int x, int y) {
-  const int at = corner_score(image, x, y);
-  return {vertex(corner_score(image, x - 1, y), at, corner_score(image, x + 1, y)),
-          vertex(corner_score(image, x, y - 1), at, corner_score(image, x, y + 1))};
+void refine_corner(const ImageU8& image, const ImageU8& scores, Corner& corner) {
+  // The map has zeros below the floor of the detection; there the score is computed.
+  const auto score = [&](int x, int y) {
+    const int s = scores.at(x, y);
+    return s > 0 ? s : reference::corner_score(image, x, y);
+  };
+  const int x = corner.x, y = corner.y;
+  corner.dx = vertex(score(x - 1, y), corner.score, score(x + 1, y));
+  corner.dy = vertex(score(x, y - 1), corner.score, score(x, y + 1));
 }
 
 void detect_corners(const ImageU8& image, int border_px, int threshold, int min_threshold,
-                    std::vector<Corner>& corners) {
+                    ImageU8& scores, std::vector<Corner>& corners) {
   corners.clear();
-  const int border = std::max(border_px, kMargin);
+  const int border = std::max(border_px, 4);
   const Area area{border, border, image.width - border, image.height - border};
   if (area.width() < 1 || area.height() < 1) return;
-  const cv::Mat mat = as_mat(image);
-  std::vector<cv::KeyPoint> buffer;
-  append_corners(mat, area, threshold, buffer, corners);
-  if (min_threshold >= threshold) return;
+  corner_scores(image, min_threshold, scores);
+  std::vector<ScorePeak> peaks;
+  score_peaks(scores, border, peaks);
 
   const Cells cells(area);
-  std::vector<std::uint8_t> filled(static_cast<std::size_t>(cells.columns) * cells.rows, 0);
-  for (const Corner& c : corners)
-    filled[cells.row_of(c.y) * cells.columns + cells.column_of(c.x)] = 1;
-  for (int row = 0; row < cells.rows; ++row) {
-    // Neighbouring empty cells are searched in one go.
-    for (int first = 0; first < cells.columns; ++first) {
-      if (filled[row * cells.columns + first]) continue;
-      int last = first;
-      while (last + 1 < cells.columns && !filled[row * cells.columns + last + 1]) ++last;
-      const Area gap{cells.x_begin(first), cells.y_begin(row), cells.x_begin(last + 1),
-                     cells.y_begin(row + 1)};
-      append_corners(mat, gap, min_threshold, buffer, corners);
-      first = last;
-    }
-  }
+  std::vector<std::uint8_t> has_strong(static_cast<std::size_t>(cells.columns) * cells.rows, 0);
+  const auto cell_of = [&](const ScorePeak& p) {
+    return cells.row_of(p.y) * cells.columns + cells.column_of(p.x);
+  };
+  for (const ScorePeak& p : peaks)
+    if (p.score > threshold) has_strong[cell_of(p)] = 1;
+  for (const ScorePeak& p : peaks)
+    if (p.score > threshold || !has_strong[cell_of(p)]) corners.push_back({p.x, p.y, p.score});
 }
 
 std::vector<Corner> spread_evenly(std::span<const Corner> corners, int count, int image_width,

@@ -19,7 +19,6 @@ constexpr double kTwoPi = 6.283185307179586;
 /// What one level contributes.
 struct LevelResult {
   std::vector<Corner> corners;
-  std::vector<SubPixelOffset> offsets;
   std::vector<PatchDirection> directions;
   std::vector<Descriptor> descriptors;
 };
@@ -56,6 +55,7 @@ struct OrbExtractor::Impl {
   explicit Impl(const OrbOptions& o) : options(o), scales(o.levels, o.scale_factor) {
     pyramid.levels.resize(o.levels);
     blurred.resize(o.levels);
+    scores.resize(o.levels);
     results.resize(o.levels);
   }
 
@@ -67,7 +67,7 @@ struct OrbExtractor::Impl {
   OrbOptions options;
   PyramidScales scales;
   ImagePyramid pyramid;
-  std::vector<ImageU8> blurred;
+  std::vector<ImageU8> blurred, scores;
   std::vector<LevelResult> results;
 };
 
@@ -87,7 +87,7 @@ void OrbExtractor::Impl::detect(int level) {
   const ImageU8& image = pyramid.levels[level];
   LevelResult& result = results[level];
   detect_corners(image, kOrbBorderPx, options.fast_threshold, options.fast_min_threshold,
-                 result.corners);
+                 scores[level], result.corners);
   if (result.corners.empty()) return;
   resize_storage(blurred[level], image.width, image.height);
   cv::Mat target = as_mat(blurred[level]);
@@ -99,12 +99,11 @@ void OrbExtractor::Impl::describe_level(int level, int count) {
   LevelResult& result = results[level];
   result.corners = spread_evenly(result.corners, count, image.width, image.height);
   const std::size_t n = result.corners.size();
-  result.offsets.resize(n);
   result.directions.resize(n);
   result.descriptors.resize(n);
   for (std::size_t i = 0; i < n; ++i) {
-    const Corner& c = result.corners[i];
-    result.offsets[i] = refine_corner(image, c.x, c.y);
+    Corner& c = result.corners[i];
+    refine_corner(image, scores[level], c);
     result.directions[i] = patch_direction(image, c.x, c.y);
     result.descriptors[i] = describe(blurred[level], c.x, c.y, result.directions[i]);
   }
@@ -124,8 +123,8 @@ OrbFeatures OrbExtractor::Impl::collect() const {
     for (std::size_t i = 0; i < results[l].corners.size(); ++i) {
       const Corner& c = results[l].corners[i];
       const PatchDirection& d = results[l].directions[i];
-      f.x.push_back(scale.to_base_x(c.x + results[l].offsets[i].x));
-      f.y.push_back(scale.to_base_y(c.y + results[l].offsets[i].y));
+      f.x.push_back(scale.to_base_x(c.x + c.dx));
+      f.y.push_back(scale.to_base_y(c.y + c.dy));
       const double angle = std::atan2(d.sin, d.cos);
       const float positive = static_cast<float>(angle < 0 ? angle + kTwoPi : angle);
       f.angle_rad.push_back(positive < static_cast<float>(kTwoPi) ? positive : 0.f);

@@ -190,7 +190,8 @@ TEST(CornerDetection, UsesTheLowThresholdOnlyWhereTheHighOneFindsNothing) {
   cv::Mat blurred = as_mat(image);
   cv::GaussianBlur(blurred, blurred, cv::Size(3, 3), 0.6);
   std::vector<Corner> corners;
-  detect_corners(image, 19, 20, 7, corners);
+  ImageU8 scores;
+  detect_corners(image, 19, 20, 7, scores, corners);
   int strong = 0, weak_alone = 0;
   for (const Corner& c : corners) {
     strong += c.x < 100 && c.score >= 20;
