@@ -49,7 +49,7 @@ cv::Mat decode(const std::filesystem::path& path, int flags) {
   } catch (const cv::Exception& e) {
     throw InputError(in_file(path), "cannot be decoded: " + e.err, "a PNG or JPEG image");
   }
-  if (image.empty()) throw InputError(in_file(path), "cannot be decoded", "a PNG or JPEG image");
+  if (image.empty()) throw InputError(in_file(path), "cannot be decoded: it is damaged", "a PNG or JPEG image");
   return image;
 }
 

@@ -1,6 +1,4 @@
 // Reads recorded sequences from the folder FASTLOOP_DATA; skipped where it is absent.
-#include "fastloop/io/dataset.hpp"
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -9,6 +7,7 @@
 
 #include "fastloop/io/calibration_import.hpp"
 #include "fastloop/io/calibration_yaml.hpp"
+#include "fastloop/io/dataset.hpp"
 #include "fastloop/io/test_support.hpp"
 
 namespace fastloop::io {
