@@ -1,0 +1,25 @@
+#include "fastloop/optimization/block_kernels.hpp"
+
+#if defined(__x86_64__)  // compiled with the flags of this instruction set, see CMakeLists.txt
+
+#define FASTLOOP_SIMD_LANES 4
+#define FASTLOOP_TILE_COLUMNS 4
+#define FASTLOOP_TILE_VECTORS 3
+
+namespace fastloop::optimization::block {
+namespace {
+#include "fastloop/optimization/block_simd.inl"
+
+#include "fastloop/optimization/block_edges.inl"
+
+#include "fastloop/optimization/block_fronts.inl"
+}  // namespace
+
+const KernelSet& avx2_kernels() {
+  static const KernelSet set = make_kernel_set("avx2");
+  return set;
+}
+
+}  // namespace fastloop::optimization::block
+
+#endif

@@ -1,0 +1,53 @@
+#include "fastloop/optimization/block_ordering.hpp"
+
+#include <Eigen/OrderingMethods>
+#include <Eigen/SparseCore>
+#include <algorithm>
+
+namespace fastloop::optimization::block {
+
+void build_graph(int n, const std::vector<int>& ends, Graph& graph) {
+  graph.begin.assign(n + 1, 0);
+  for (std::size_t k = 0; k < ends.size(); k += 2) {
+    if (ends[k] == ends[k + 1]) continue;
+    ++graph.begin[ends[k] + 1];
+    ++graph.begin[ends[k + 1] + 1];
+  }
+  for (int i = 0; i < n; ++i) graph.begin[i + 1] += graph.begin[i];
+  graph.neighbour.resize(graph.begin[n]);
+  std::vector<int> cursor(graph.begin.begin(), graph.begin.end() - 1);
+  for (std::size_t k = 0; k < ends.size(); k += 2) {
+    const int a = ends[k], b = ends[k + 1];
+    if (a == b) continue;
+    graph.neighbour[cursor[a]++] = b;
+    graph.neighbour[cursor[b]++] = a;
+  }
+  int out = 0;
+  for (int i = 0; i < n; ++i) {
+    const auto first = graph.neighbour.begin() + graph.begin[i];
+    const auto last = graph.neighbour.begin() + graph.begin[i + 1];
+    std::sort(first, last);
+    graph.begin[i] = out;
+    for (auto it = first; it != last; ++it)
+      if (it == first || *it != *(it - 1)) graph.neighbour[out++] = *it;
+  }
+  graph.begin[n] = out;
+  graph.neighbour.resize(out);
+}
+
+std::vector<int> minimum_degree_order(const Graph& graph) {
+  const int n = graph.size();
+  // Only the pattern counts; one byte a value keeps the copies small.
+  Eigen::SparseMatrix<signed char, Eigen::ColMajor, int> pattern(n, n);
+  pattern.resizeNonZeros(graph.neighbour.size());
+  std::copy(graph.begin.begin(), graph.begin.end(), pattern.outerIndexPtr());
+  std::copy(graph.neighbour.begin(), graph.neighbour.end(), pattern.innerIndexPtr());
+  std::fill_n(pattern.valuePtr(), graph.neighbour.size(), static_cast<signed char>(1));
+  Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> permutation;
+  Eigen::AMDOrdering<int>()(pattern.selfadjointView<Eigen::Lower>(), permutation);
+  return {permutation.indices().data(), permutation.indices().data() + n};
+}
+
+std::vector<int> fill_reducing_order(const Graph& graph) { return minimum_degree_order(graph); }
+
+}  // namespace fastloop::optimization::block

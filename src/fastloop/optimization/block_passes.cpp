@@ -1,0 +1,130 @@
+#include "fastloop/optimization/block_passes.hpp"
+
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+#include <tbb/task_group.h>
+
+#include <atomic>
+#include <functional>
+#include <new>
+#include <vector>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+namespace fastloop::optimization::block {
+
+void Buffer::resize(std::size_t size) {
+  if (size <= capacity_) return;
+  data_.reset();
+  constexpr std::size_t kHugePage = std::size_t{2} << 20;
+  std::size_t bytes = size * sizeof(double);
+  const std::size_t alignment = bytes >= 2 * kHugePage ? kHugePage : 64;
+  bytes = (bytes + alignment - 1) / alignment * alignment;
+  void* p = std::aligned_alloc(alignment, bytes);
+  if (p == nullptr) throw std::bad_alloc();
+#if defined(__linux__)
+  // Fresh memory is touched front by front; large pages make that several times cheaper. Only a hint.
+  if (alignment == kHugePage) madvise(p, bytes, MADV_HUGEPAGE);
+#endif
+  data_.reset(static_cast<double*>(p));
+  capacity_ = bytes / sizeof(double);
+}
+
+struct Passes::Threads {
+  explicit Threads(int n) : count(n), arena(n) {}
+  int count;
+  tbb::task_arena arena;
+  std::vector<std::atomic<int>> waiting;  // feeding tasks that have not ended
+  std::vector<int> feeding_begin, feeding;
+
+  void link(const SymbolicPlan& plan) {
+    feeding_begin.assign(plan.tasks.size() + 1, 0);
+    for (const Task& t : plan.tasks)
+      if (t.parent >= 0) ++feeding_begin[t.parent + 1];
+    for (std::size_t t = 0; t < plan.tasks.size(); ++t) feeding_begin[t + 1] += feeding_begin[t];
+    feeding.resize(feeding_begin.back());
+    std::vector<int> cursor(feeding_begin.begin(), feeding_begin.end() - 1);
+    for (std::size_t t = 0; t < plan.tasks.size(); ++t)
+      if (plan.tasks[t].parent >= 0) feeding[cursor[plan.tasks[t].parent]++] = static_cast<int>(t);
+  }
+};
+
+Passes::Passes() = default;
+Passes::~Passes() = default;
+
+void Passes::set_threads(int threads) {
+  if (threads == 1) {
+    threads_.reset();
+  } else if (!threads_ || threads_->count != threads) {
+    threads_ = std::make_unique<Threads>(threads);
+  }
+}
+
+void Passes::bottom_up(const SymbolicPlan& plan, IndexedBody body) {
+  const std::size_t n = plan.tasks.size();
+  if (!threads_) {
+    for (std::size_t t = 0; t < n; ++t) body(t);
+    return;
+  }
+  Threads& threads = *threads_;
+  if (threads.waiting.size() < n) threads.waiting = std::vector<std::atomic<int>>(n);
+  for (std::size_t t = 0; t < n; ++t) threads.waiting[t] = plan.tasks[t].num_feeding;
+  threads.arena.execute([&] {
+    tbb::task_group group;
+    for (std::size_t t = 0; t < n; ++t) {
+      if (plan.tasks[t].num_feeding != 0) continue;
+      group.run([&, t] {
+        // Whoever ends last among the tasks that feed a task carries on with it.
+        for (int task = static_cast<int>(t); task >= 0;) {
+          body(static_cast<std::size_t>(task));
+          task = plan.tasks[task].parent;
+          if (task >= 0 && --threads.waiting[task] != 0) break;
+        }
+      });
+    }
+    group.wait();
+  });
+}
+
+void Passes::top_down(const SymbolicPlan& plan, IndexedBody body) {
+  const std::size_t n = plan.tasks.size();
+  if (!threads_) {
+    for (std::size_t t = n; t-- > 0;) body(t);
+    return;
+  }
+  Threads& threads = *threads_;
+  threads.link(plan);
+  threads.arena.execute([&] {
+    tbb::task_group group;
+    const std::function<void(int)> descend = [&](int task) {
+      while (task >= 0) {
+        body(static_cast<std::size_t>(task));
+        int next = -1;
+        for (int k = threads.feeding_begin[task]; k < threads.feeding_begin[task + 1]; ++k) {
+          const int child = threads.feeding[k];
+          if (next < 0) {
+            next = child;
+          } else {
+            group.run([&descend, child] { descend(child); });
+          }
+        }
+        task = next;
+      }
+    };
+    for (std::size_t t = 0; t < n; ++t)
+      if (plan.tasks[t].parent < 0) group.run([&descend, t] { descend(static_cast<int>(t)); });
+    group.wait();
+  });
+}
+
+void Passes::for_chunks(std::size_t chunks, IndexedBody body) {
+  if (!threads_ || chunks < 2) {
+    for (std::size_t c = 0; c < chunks; ++c) body(c);
+    return;
+  }
+  threads_->arena.execute([&] { tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) { body(c); }); });
+}
+
+}  // namespace fastloop::optimization::block

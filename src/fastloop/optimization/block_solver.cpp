@@ -1,0 +1,256 @@
+#include "fastloop/optimization/block_solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "fastloop/core/time.hpp"
+#include "fastloop/optimization/pose_graph_residual.hpp"
+
+namespace fastloop::optimization {
+
+const block::KernelSet& block::best_kernels() {
+#if defined(__x86_64__)
+  static const KernelSet& best = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+                                         __builtin_cpu_supports("avx512vl")
+                                     ? avx512_kernels()
+                                 : __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")
+                                     ? avx2_kernels()
+                                     : portable_kernels();
+  return best;
+#else
+  return portable_kernels();
+#endif
+}
+
+PoseGraphPlan::Impl::Impl() = default;
+PoseGraphPlan::Impl::~Impl() = default;
+
+namespace {
+
+constexpr std::size_t kChunkVertices = 512;
+constexpr int kMaxRejections = 12;      // in a row
+constexpr int kMaxRefinements = 6;      // steps with an old factor
+constexpr double kWorthRefining = 0.05;  // contraction of the expected decrease per step
+
+/// Scratch of one thread for fronts: grows to the largest front and stays.
+std::vector<double>& thread_scratch(std::size_t size) {
+  thread_local std::vector<double> scratch;
+  if (scratch.size() < size) scratch.resize(size);
+  return scratch;
+}
+
+}  // namespace
+
+bool PoseGraphPlan::Impl::factor(double lambda) {
+  context_.poses = poses_.data();
+  context_.lambda = lambda;
+  context_.damping = nullptr;
+  if (lambda > 0) {
+    build_damping();
+    context_.damping = damping_.data();
+  }
+  std::vector<std::uint8_t>& ok = task_ok_;
+  ok.assign(symbolic_.tasks.size(), 0);
+  passes_.bottom_up(symbolic_, [&](std::size_t task) {
+    const block::Task& t = symbolic_.tasks[task];
+    block::BatchCursor cursor;
+    for (std::size_t i = t.begin; i < t.end; ++i)
+      if (!kernels_.factor(context_, fronts_[symbolic_.task_fronts[i]], cursor)) return;
+    ok[task] = 1;
+  });
+  return std::find(ok.begin(), ok.end(), 0) == ok.end();
+}
+
+void PoseGraphPlan::Impl::forward() {
+  context_.poses = poses_.data();
+  const std::size_t scratch_size = static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
+  passes_.bottom_up(symbolic_, [&](std::size_t task) {
+    const block::Task& t = symbolic_.tasks[task];
+    block::BatchCursor cursor;
+    double* scratch = thread_scratch(scratch_size).data();
+    for (std::size_t i = t.begin; i < t.end; ++i)
+      kernels_.forward(context_, fronts_[symbolic_.task_fronts[i]], cursor, scratch);
+  });
+}
+
+double PoseGraphPlan::Impl::backward() {
+  const std::size_t scratch_size = static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
+  const int d = block_size_;
+  passes_.top_down(symbolic_, [&](std::size_t task) {
+    const block::Task& t = symbolic_.tasks[task];
+    double* x = thread_scratch(scratch_size).data();
+    for (std::size_t i = t.end; i-- > t.begin;) {
+      const int k = symbolic_.task_fronts[i];
+      const block::Front& f = symbolic_.fronts[k];
+      double* below = x + f.pivots * d;
+      for (int r = 0; r < f.below; ++r) {
+        const double* from = step_.data() + static_cast<std::size_t>(symbolic_.rows[f.rows + r]) * d;
+        for (int c = 0; c < d; ++c) *below++ = from[c];
+      }
+      front_norm_[k] = kernels_.backward(fronts_[k], x);
+      std::copy_n(x, f.pivots * d, step_.data() + static_cast<std::size_t>(f.first) * d);
+    }
+  });
+  double total = 0;
+  for (double s : front_norm_) total += s;
+  return total;
+}
+
+void PoseGraphPlan::Impl::move_poses() {
+  const std::size_t n = free_pose_.size();
+  passes_.for_chunks((n + kChunkVertices - 1) / kChunkVertices, [&](std::size_t chunk) {
+    const std::size_t end = std::min(n, (chunk + 1) * kChunkVertices);
+    for (std::size_t k = chunk * kChunkVertices; k < end; ++k) {
+      const std::size_t pose = static_cast<std::size_t>(free_pose_[symbolic_.order[k]]);
+      const double* p = poses_.data() + 8 * pose;
+      double* q = candidate_.data() + 8 * pose;
+      Vector7d d = Vector7d::Zero();
+      for (int c = 0; c < block_size_; ++c) d[c] = step_[k * block_size_ + c];
+      Sim3 x;
+      x.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
+      x.translation = Vector3d(p[4], p[5], p[6]);
+      x.scale = p[7];
+      x = move_vertex(kind_, x, d);
+      Eigen::Map<Eigen::Vector4d>(q, 4) = x.rotation.coeffs();
+      Eigen::Map<Vector3d>(q + 4, 3) = x.translation;
+      q[7] = x.scale;
+    }
+  });
+}
+
+/// Metric of the damping: squared length of a step seen in the vertex's own frame, where it does not depend on where
+/// the world's origin is.
+void PoseGraphPlan::Impl::build_damping() {
+  damping_.resize(free_pose_.size() * 28);
+  const int d = block_size_;
+  for (std::size_t k = 0; k < free_pose_.size(); ++k) {
+    const double* p = poses_.data() + 8 * static_cast<std::size_t>(free_pose_[symbolic_.order[k]]);
+    const Vector3d t(p[4], p[5], p[6]);
+    Matrix7d j = Matrix7d::Identity();  // rows: rotation, translation, log scale in the vertex frame
+    if (kind_ == PoseGraphKind::kYaw) {
+      j.setZero();
+      j(2, 0) = 1;
+      j.block<3, 1>(3, 0) = Vector3d::UnitZ().cross(t);
+      j.block<3, 3>(3, 1).setIdentity();
+    } else {
+      j.block<3, 3>(3, 0) = -so3::hat(t);
+      j.block<3, 1>(3, 6) = t;
+    }
+    j.middleRows<3>(3) /= p[7];
+    const Matrix7d metric = j.transpose() * j;
+    for (int r = 0; r < d; ++r)
+      for (int c = 0; c <= r; ++c) damping_[k * 28 + r * (r + 1) / 2 + c] = metric(r, c);
+  }
+}
+
+/// Moves along the present step if that lowers the cost.
+bool PoseGraphPlan::Impl::try_step(double& cost, PoseGraphResult& result) {
+  Stopwatch watch;
+  move_poses();
+  const double candidate_cost = evaluate_cost(candidate_.data(), nullptr);
+  result.times.update_ms += watch.elapsed_ms();
+  if (!(candidate_cost < cost)) return false;
+  std::swap(poses_, candidate_);
+  cost = candidate_cost;
+  result.cost_history.push_back(cost);
+  return true;
+}
+
+/// Steps with the gradient at the new poses and the factor of the old ones. Near the minimum the expected decrease
+/// shrinks by a constant factor per step at a fraction of the price of a factorisation. True: converged.
+bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease, double& cost,
+                                                 PoseGraphResult& result) {
+  for (int k = 0; k < kMaxRefinements; ++k) {
+    Stopwatch watch;
+    forward();
+    const double decrease = 0.5 * backward();
+    result.times.solve_ms += watch.elapsed_ms();
+    const double contraction = decrease / last_decrease;
+    if (!(contraction < kWorthRefining)) return false;
+    const bool done = decrease * std::max(contraction, 1e-2) <= tolerance * cost;
+    if (!try_step(cost, result)) return decrease <= tolerance * cost;
+    if (done) return true;
+    last_decrease = decrease;
+  }
+  return false;
+}
+
+void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResult& result) {
+  double cost = evaluate_cost(poses_.data(), nullptr);
+  result.cost_history.push_back(cost);
+  const double floor = 1e-24 * damping_scale_ * static_cast<double>(edge_of_slot_.size());
+  const double tolerance = options.relative_tolerance;
+  double lambda = 0;
+  int rejections = 0;
+  result.status = PoseGraphStatus::kMaxIterations;
+  result.reason = "ended by max_iterations";
+  const auto converged = [&] {
+    result.status = PoseGraphStatus::kConverged;
+    result.reason.clear();
+  };
+  if (free_pose_.empty() || !(cost > floor)) {
+    result.final_cost = cost;
+    return converged();
+  }
+  while (result.iterations < options.max_iterations) {
+    Stopwatch watch;
+    const bool positive_definite = factor(lambda);
+    ++result.factorizations;
+    result.times.factor_ms += watch.elapsed_ms();
+    bool accepted = false;
+    double expected = 0;
+    if (positive_definite) {
+      watch.restart();
+      expected = 0.5 * backward();
+      result.times.solve_ms += watch.elapsed_ms();
+      const double before = cost;
+      accepted = try_step(cost, result);
+      if (!accepted && lambda == 0 && expected <= 1e-10 * cost + floor) {
+        result.final_cost = cost;  // what is left is rounding
+        return converged();
+      }
+      if (accepted) {
+        ++result.iterations;
+        rejections = 0;
+        const double decrease = before - cost;
+        const bool small = decrease <= tolerance * cost && expected <= 10 * tolerance * before;
+        if (cost <= floor || (small && lambda == 0)) {
+          result.final_cost = cost;
+          return converged();
+        }
+        if (lambda == 0 && decrease > 0.5 * expected &&
+            refine_with_old_factor(tolerance, expected, cost, result)) {
+          result.final_cost = cost;
+          return converged();
+        }
+        lambda = lambda > 1e-6 * damping_scale_ ? 0.1 * lambda : 0;
+      }
+    }
+    if (!accepted) {
+      if (++rejections > kMaxRejections) {
+        result.status = PoseGraphStatus::kStalled;
+        result.reason = "no step lowers the cost any more";
+        break;
+      }
+      lambda = std::max(10 * lambda, 1e-6 * damping_scale_);
+    }
+  }
+  result.final_cost = cost;
+}
+
+void PoseGraphPlan::Impl::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                                PoseGraphResult& result) {
+  passes_.set_threads(options.threads);
+  prepare(problem, result);
+  kernels_ = block::best_kernels().model[static_cast<int>(model_)];
+  load(problem, options);
+  iterate(options, result);
+  if (std::isfinite(options.rejection_gate) && reject_outliers(problem, options.rejection_gate, result) > 0) {
+    context_.robust_kernel = 0;
+    iterate(options, result);
+  }
+  result.initial_cost = result.cost_history.front();
+  store_poses(problem);
+}
+
+}  // namespace fastloop::optimization
