@@ -17,16 +17,18 @@ struct Area {
   int height() const { return y_end - y_begin; }
 };
 
-/// The area cut into cells of about kCellPx.
+/// The area cut into cells of about kCellPx; the cell of each column and row of pixels.
 struct Cells {
-  Area area;
-  int columns, rows;
-  explicit Cells(const Area& a)
-      : area(a),
-        columns(std::max(1, a.width() / kCellPx)),
-        rows(std::max(1, a.height() / kCellPx)) {}
-  int column_of(int x) const { return (x - area.x_begin) * columns / area.width(); }
-  int row_of(int y) const { return (y - area.y_begin) * rows / area.height(); }
+  std::vector<std::int32_t> column,
+      row_start;  ///< by pixel - begin; row_start: index of the row's first cell
+  std::size_t count = 0;
+
+  explicit Cells(const Area& a) : column(a.width()), row_start(a.height()) {
+    const int columns = std::max(1, a.width() / kCellPx), rows = std::max(1, a.height() / kCellPx);
+    for (int x = 0; x < a.width(); ++x) column[x] = x * columns / a.width();
+    for (int y = 0; y < a.height(); ++y) row_start[y] = y * rows / a.height() * columns;
+    count = static_cast<std::size_t>(columns) * rows;
+  }
 };
 
 /// Number of occupied cells of a square grid; `best`, if given, receives the strongest corner of
@@ -95,9 +97,9 @@ void detect_corners(const ImageU8& image, int border_px, int threshold, int min_
   score_peaks(scores, border, peaks);
 
   const Cells cells(area);
-  std::vector<std::uint8_t> has_strong(static_cast<std::size_t>(cells.columns) * cells.rows, 0);
+  std::vector<std::uint8_t> has_strong(cells.count, 0);
   const auto cell_of = [&](const ScorePeak& p) {
-    return cells.row_of(p.y) * cells.columns + cells.column_of(p.x);
+    return cells.row_start[p.y - area.y_begin] + cells.column[p.x - area.x_begin];
   };
   for (const ScorePeak& p : peaks)
     if (p.score > threshold) has_strong[cell_of(p)] = 1;

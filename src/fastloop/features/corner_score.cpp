@@ -20,6 +20,8 @@ constexpr int kBlock = 32;
 /// 32 grey values; the compiler maps operations on them to whatever vectors the target has.
 typedef std::uint8_t Bytes __attribute__((vector_size(kBlock)));
 
+static_assert(std::endian::native == std::endian::little);
+
 #define FASTLOOP_INLINE __attribute__((always_inline)) inline
 
 FASTLOOP_INLINE void load(const std::uint8_t* p, Bytes& v) {
@@ -149,18 +151,23 @@ FASTLOOP_INLINE void collect_peaks(const ImageU8& scores, int border,
                                    std::vector<ScorePeak>& peaks) {
   const int end = scores.width - border;
   Bytes kept;
-  std::array<std::uint8_t, kBlock> values;
+  std::array<std::uint64_t, kBlock / 8> words;
   for (int y = border; y < scores.height - border; ++y) {
     const std::uint8_t* row = scores.row(y);
     for (int x = border; x < end; x += kBlock) {
       // The last block begins early and skips what the one before it covered.
       const int begin = std::min(x, end - kBlock);
       if (!keep_peaks(row + begin, scores.width, kept)) continue;
-      std::memcpy(values.data(), &kept, kBlock);
-      for (int i = x - begin; i < kBlock; ++i)
-        if (values[i])
-          peaks.push_back(
-              {static_cast<std::int16_t>(begin + i), static_cast<std::int16_t>(y), values[i]});
+      std::memcpy(words.data(), &kept, kBlock);
+      for (int w = 0; w < kBlock / 8; ++w)
+        for (std::uint64_t word = words[w]; word != 0;) {
+          const int byte = std::countr_zero(word) / 8;
+          const int px = begin + 8 * w + byte;
+          const auto score = static_cast<std::uint8_t>(word >> (8 * byte));
+          word &= ~(std::uint64_t{0xff} << (8 * byte));
+          if (px >= x)
+            peaks.push_back({static_cast<std::int16_t>(px), static_cast<std::int16_t>(y), score});
+        }
     }
   }
 }

@@ -1,7 +1,6 @@
 #include "fastloop/features/orb_descriptor.hpp"
 
 #include <array>
-#include <bit>
 #include <cmath>
 
 #include "fastloop/features/orb_pattern.hpp"
@@ -55,12 +54,40 @@ struct PatternPoints {
 const DiscWeights kDisc;
 const PatternPoints kPoints;
 
-/// Nearest integer, ties to even, of |value| < 2^22: adding 1.5 * 2^23 leaves it in the low
-/// mantissa bits. Unlike lrint this compiles to vector code.
-inline std::int32_t round_to_int(float value) {
+/// Nearest integer, ties to even, of |value| < 2^22: beside 1.5 * 2^23 there is no room for a
+/// fraction. Unlike lrint this compiles to vector code.
+__attribute__((always_inline)) inline float rounded(float value) {
   constexpr float kShift = 12582912.0f;
-  return std::bit_cast<std::int32_t>(value + kShift) - std::bit_cast<std::int32_t>(kShift);
+  return (value + kShift) - kShift;
 }
+
+/// Memory offsets of the turned pattern. In float all the way: exact below 2^24, and there is no
+/// vector multiplication of 32-bit integers on a plain x86-64.
+__attribute__((always_inline)) inline void pattern_offsets(const PatternPoints& points,
+                                                           PatchDirection d, float stride,
+                                                           std::int32_t* __restrict offset) {
+  for (int i = 0; i < PatternPoints::kCount; ++i) {
+    const float dx = rounded(points.x[i] * d.cos - points.y[i] * d.sin);
+    const float dy = rounded(points.x[i] * d.sin + points.y[i] * d.cos);
+    offset[i] = static_cast<std::int32_t>(dy * stride + dx);
+  }
+}
+
+void pattern_offsets_portable(const PatternPoints& points, PatchDirection d, float stride,
+                              std::int32_t* offset) {
+  pattern_offsets(points, d, stride, offset);
+}
+#if defined(__x86_64__)
+__attribute__((target("avx2"))) void pattern_offsets_avx2(const PatternPoints& points,
+                                                          PatchDirection d, float stride,
+                                                          std::int32_t* offset) {
+  pattern_offsets(points, d, stride, offset);
+}
+const bool kHasAvx2 = __builtin_cpu_supports("avx2");
+#else
+constexpr auto pattern_offsets_avx2 = pattern_offsets_portable;
+constexpr bool kHasAvx2 = false;
+#endif
 
 }  // namespace
 
@@ -84,13 +111,8 @@ PatchDirection patch_direction(const ImageU8& level, int x, int y) {
 Descriptor describe(const ImageU8& blurred, int x, int y, PatchDirection direction) {
   constexpr int kCount = PatternPoints::kCount, kBits = kCount / 2;
   alignas(32) std::array<std::int32_t, kCount> offset;
-  const std::int32_t stride = blurred.width;
-  const float c = direction.cos, s = direction.sin;
-  for (int i = 0; i < kCount; ++i) {
-    const std::int32_t dx = round_to_int(kPoints.x[i] * c - kPoints.y[i] * s);
-    const std::int32_t dy = round_to_int(kPoints.x[i] * s + kPoints.y[i] * c);
-    offset[i] = dy * stride + dx;
-  }
+  (kHasAvx2 ? pattern_offsets_avx2 : pattern_offsets_portable)(
+      kPoints, direction, static_cast<float>(blurred.width), offset.data());
   const std::uint8_t* centre = blurred.row(y) + x;
   Descriptor descriptor;
   for (int word = 0; word < 4; ++word) {

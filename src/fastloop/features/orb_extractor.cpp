@@ -7,6 +7,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/features/blur.hpp"
 #include "fastloop/features/corner_detection.hpp"
 #include "fastloop/features/cv_view.hpp"
 #include "fastloop/features/orb_descriptor.hpp"
@@ -89,9 +90,7 @@ void OrbExtractor::Impl::detect(int level) {
   detect_corners(image, kOrbBorderPx, options.fast_threshold, options.fast_min_threshold,
                  scores[level], result.corners);
   if (result.corners.empty()) return;
-  resize_storage(blurred[level], image.width, image.height);
-  cv::Mat target = as_mat(blurred[level]);
-  cv::GaussianBlur(as_mat(image), target, cv::Size(7, 7), 2, 2, cv::BORDER_REFLECT_101);
+  blur_for_description(image, blurred[level]);
 }
 
 void OrbExtractor::Impl::describe_level(int level, int count) {
