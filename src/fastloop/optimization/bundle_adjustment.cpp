@@ -96,6 +96,7 @@ class Adjustment {
   void add_observations();
   void add_imu_edges();
   void fix_blocks();
+  BundleSolver linear_solver() const;
   ceres::Solver::Options solver_options(int iterations, double seconds) const;
   bool solve(int iterations, BundleResult* result);
   void set_weights(bool gate);
@@ -116,6 +117,7 @@ class Adjustment {
   Stopwatch watch_;
 
   PoseManifold manifold_;
+  TiltManifold tilt_manifold_;
   std::deque<ReprojectionCost<2>> costs2_;
   std::deque<ReprojectionCost<3>> costs3_;
   std::deque<ReprojectionCost<4>> costs4_;
@@ -194,25 +196,43 @@ void Adjustment::fix_blocks() {
       problem_->SetParameterBlockConstant(motions_[i].data() + 3);
     }
   }
-  // Somebody has to hold the world in place: the first pose does when the caller fixed none.
+  // Somebody has to hold the world in place: the first pose does when the caller fixed none. With
+  // IMU measurements its roll and pitch must stay free to follow gravity.
   for (std::size_t i = 0; i < poses_.size() && !any_fixed; ++i) {
     if (!pose_used_[i]) continue;
-    problem_->SetParameterBlockConstant(poses_[i].data());
+    if (input_.imu_edges.empty()) {
+      problem_->SetParameterBlockConstant(poses_[i].data());
+    } else {
+      problem_->SetManifold(poses_[i].data(), &tilt_manifold_);
+    }
     any_fixed = true;
   }
 }
 
+BundleSolver Adjustment::linear_solver() const {
+  if (options_.solver != BundleSolver::kAuto) return options_.solver;
+  const bool inertial = !input_.imu_edges.empty();
+  if (num_free_poses_ <= (inertial ? kMaxDenseInertialPoses : kMaxDensePoses))
+    return BundleSolver::kDense;
+  return num_free_poses_ <= kMaxSparsePoses ? BundleSolver::kSparse : BundleSolver::kIterative;
+}
+
 ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds) const {
   ceres::Solver::Options options;
-  const bool inertial = !input_.imu_edges.empty();
-  if (num_free_poses_ <= (inertial ? kMaxDenseInertialPoses : kMaxDensePoses)) {
-    options.linear_solver_type = ceres::DENSE_SCHUR;
-  } else if (num_free_poses_ <= kMaxSparsePoses) {
-    options.linear_solver_type = ceres::SPARSE_SCHUR;
-  } else {
-    options.linear_solver_type = ceres::ITERATIVE_SCHUR;
-    options.preconditioner_type = ceres::SCHUR_JACOBI;
+  switch (linear_solver()) {
+    case BundleSolver::kSparse:
+      options.linear_solver_type = ceres::SPARSE_SCHUR;
+      break;
+    case BundleSolver::kIterative:
+      options.linear_solver_type = ceres::ITERATIVE_SCHUR;
+      options.preconditioner_type = ceres::SCHUR_JACOBI;
+      break;
+    default:
+      options.linear_solver_type = ceres::DENSE_SCHUR;
   }
+  // A relative decrease below this is a small part of one standard deviation of a local problem.
+  // Large ones advance in small steps and are given more patience.
+  options.function_tolerance = options.linear_solver_type == ceres::DENSE_SCHUR ? 1e-5 : 1e-6;
   options.max_num_iterations = iterations;
   options.num_threads = options_.threads;
   options.logging_type = ceres::SILENT;
@@ -255,7 +275,7 @@ double Adjustment::chi2(std::size_t i, int* size) const {
   const BundleObservation& o = input_.observations[i];
   const Vector3d p_body = pose_from_parameters(poses_[o.pose].data()).inverse() * points_[o.point];
   StereoRig::Residual r;
-  *size = input_.rig.residual(shared_.T_left_body * p_body, o.pixel, &r);
+  *size = shared_.model.residual(shared_.T_left_body * p_body, o.pixel, &r);
   double sum = 0;
   for (int k = 0; k < *size; ++k) sum += r(k) * r(k);
   return o.inv_sigma2 * sum;

@@ -38,6 +38,10 @@ struct BundleProblem {
   std::vector<BundleImuEdge> imu_edges;
 };
 
+/// How the reduced system of the poses is solved. kAuto: dense for local problems, sparse Cholesky
+/// above, conjugate gradients for very many poses.
+enum class BundleSolver : int { kAuto, kDense, kSparse, kIterative };
+
 struct BundleOptions {
   int iterations = 5;  ///< first pass, with Huber kernel
   int iterations_after_gate =
@@ -45,6 +49,7 @@ struct BundleOptions {
   bool robust = true;      ///< Huber kernel at sqrt(chi2_gate) in both passes
   double max_seconds = 0;  ///< wall clock budget, 0 = none (never used in deterministic runs)
   int threads = 1;
+  BundleSolver solver = BundleSolver::kAuto;
   const std::atomic<bool>* cancel =
       nullptr;  ///< checked every iteration; the best state so far is kept
   void validate() const;
@@ -61,8 +66,13 @@ struct BundleResult {
 };
 
 /// Optimises poses, points (and velocities, biases) in place with Ceres and analytic derivatives.
-/// The result is the same for the same input and one thread. Throws InvalidArgument on indices out
-/// of range.
+///
+/// Gauge: when no pose is fixed, the first one used is held; with IMU edges only its position and
+/// heading are, for its roll and pitch must follow gravity.
+/// Observations with non-finite numbers or of non-finite points are left out and reported as
+/// outliers; a non-finite pose makes the result unusable.
+/// The result is the same for the same input and one thread.
+/// @throws InvalidArgument on indices out of range
 BundleResult adjust_bundle(BundleProblem& problem, const BundleOptions& options = {});
 
 }  // namespace fastloop::optimization

@@ -43,6 +43,36 @@ bool PoseManifold::MinusJacobian(const double*, double* jacobian) const {
   return true;
 }
 
+bool TiltManifold::Plus(const double* x, const double* delta, double* x_plus_delta) const {
+  const SE3 T = pose_from_parameters(x);
+  const Eigen::Quaterniond tilt = so3::exp({delta[0], delta[1], 0});
+  pose_to_parameters(SE3(tilt * T.rotation, T.translation), x_plus_delta);
+  return true;
+}
+
+bool TiltManifold::PlusJacobian(const double* x, double* jacobian) const {
+  Eigen::Map<RowMajor<7, 2>> j(jacobian, 7, 2);
+  j.setZero();
+  // A turn about world axes, seen as the perturbation of SE3::retract.
+  const Matrix3d R_body_world = pose_from_parameters(x).rotation.toRotationMatrix().transpose();
+  j.topRows<3>() = R_body_world.leftCols<2>();
+  return true;
+}
+
+bool TiltManifold::Minus(const double* y, const double* x, double* y_minus_x) const {
+  const Eigen::Quaterniond turn =
+      pose_from_parameters(y).rotation * pose_from_parameters(x).rotation.conjugate();
+  Eigen::Map<Eigen::Vector2d>(y_minus_x, 2) = so3::log(turn).head<2>();
+  return true;
+}
+
+bool TiltManifold::MinusJacobian(const double* x, double* jacobian) const {
+  Eigen::Map<RowMajor<2, 7>> j(jacobian, 2, 7);
+  j.setZero();
+  j.leftCols<3>() = pose_from_parameters(x).rotation.toRotationMatrix().topRows<2>();
+  return true;
+}
+
 template <int kRows>
 bool ReprojectionCost<kRows>::Evaluate(const double* const* parameters, double* residuals,
                                        double** jacobians) const {
@@ -57,7 +87,7 @@ bool ReprojectionCost<kRows>::Evaluate(const double* const* parameters, double* 
   StereoRig::Residual r;
   StereoRig::Jacobian j;
   if (weight == 0 ||
-      shared_->rig.residual(p_left, pixel_, &r, j_pose || j_point ? &j : nullptr) != kRows) {
+      shared_->model.residual(p_left, pixel_, &r, j_pose || j_point ? &j : nullptr) != kRows) {
     // A point that left the view of its camera costs a constant and pulls at nothing.
     out.setConstant(weight == 0 ? 0 : std::sqrt(kBehindCameraPenalty * chi2_gate(kRows) / kRows));
     if (j_pose) Eigen::Map<RowMajor<kRows, 7>>(j_pose).setZero();

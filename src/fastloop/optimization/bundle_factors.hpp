@@ -4,7 +4,7 @@
 #include <ceres/sized_cost_function.h>
 
 #include "fastloop/optimization/imu_factor.hpp"
-#include "fastloop/sensor/stereo_rig.hpp"
+#include "fastloop/optimization/rig_model.hpp"
 
 /// Cost functions of bundle adjustment for Ceres.
 ///
@@ -47,13 +47,26 @@ class PoseManifold final : public ceres::Manifold {
   bool MinusJacobian(const double* x, double* jacobian) const override;
 };
 
+/// A pose of which only the tilt is free, about the horizontal axes of the world (2 numbers);
+/// position and heading are held. It anchors an inertial problem, where gravity determines roll and
+/// pitch but nothing else.
+class TiltManifold final : public ceres::Manifold {
+ public:
+  int AmbientSize() const override { return 7; }
+  int TangentSize() const override { return 2; }
+  bool Plus(const double* x, const double* delta, double* x_plus_delta) const override;
+  bool PlusJacobian(const double* x, double* jacobian) const override;
+  bool Minus(const double* y, const double* x, double* y_minus_x) const override;
+  bool MinusJacobian(const double* x, double* jacobian) const override;
+};
+
 /// What all reprojection errors of a problem share.
 struct ReprojectionRig {
   explicit ReprojectionRig(const StereoRig& r)
-      : rig(r),
+      : model(r),
         T_left_body(r.T_body_left.inverse()),
         R_left_body(T_left_body.rotation.toRotationMatrix()) {}
-  const StereoRig& rig;
+  RigModel model;
   SE3 T_left_body;
   Matrix3d R_left_body;
 };

@@ -80,6 +80,24 @@ TEST(PoseManifold, PlusAndMinusAreInverse) {
   }
 }
 
+TEST(TiltManifold, TurnsAboutHorizontalAxesOnly) {
+  std::mt19937 rng(7);
+  const TiltManifold manifold;
+  double x[7], y[7], back[2], jacobian[14];
+  pose_to_parameters(random_pose(rng, 1, 3), x);
+  ASSERT_TRUE(manifold.PlusJacobian(x, jacobian));
+  for (int k = 0; k < 2; ++k) {
+    const double h = 1e-6;
+    double d[2] = {0, 0};
+    d[k] = h;
+    ASSERT_TRUE(manifold.Plus(x, d, y) && manifold.Minus(y, x, back));
+    EXPECT_NEAR(back[k], h, 1e-12);
+    EXPECT_NEAR(back[1 - k], 0, 1e-12);
+    const Vector6d moved = pose_from_parameters(x).local(pose_from_parameters(y)) / h;
+    for (int row = 0; row < 6; ++row) EXPECT_NEAR(moved(row), jacobian[2 * row + k], 1e-5);
+  }
+}
+
 /// Checks the Jacobians of a cost function by differences in the perturbation of each block.
 void check_jacobians(const ceres::CostFunction& cost, const std::vector<std::vector<double>>& x,
                      double tolerance) {

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "fastloop/optimization/reprojection.hpp"
+#include "fastloop/optimization/rig_model.hpp"
 #include "fastloop/optimization/synthetic_for_tests.hpp"
 
 namespace fastloop::optimization {
@@ -27,6 +28,28 @@ class PoseOnly : public testing::TestWithParam<int> {
                              : distorted_rectified_rig();
   }
 };
+
+TEST_P(PoseOnly, RigModelEqualsTheRig) {
+  std::mt19937 rng(11);
+  const StereoRig r = rig();
+  const RigModel model(r);
+  std::vector<Vector3d> points{{0, 0, 0}, {0, 0, 2}, {0, 0, -2}, {1e-14, 0, 1}, {0, 0, kNan}};
+  for (int i = 0; i < 500; ++i) points.push_back(normal_vector(rng, 3));
+  int projected = 0;
+  for (const Vector3d& p : points) {
+    PixelObservation z;
+    z.left = {120, 200};
+    if (rng() % 3) z.right = {100, 201};
+    StereoRig::Residual a = StereoRig::Residual::Zero(), b = a;
+    StereoRig::Jacobian ja = StereoRig::Jacobian::Zero(), jb = ja;
+    ASSERT_EQ(r.residual(p, z, &a, &ja), model.residual(p, z, &b, &jb)) << p.transpose();
+    if (r.residual(p, z, &a) == 0) continue;
+    ++projected;
+    EXPECT_LT((a - b).norm(), 1e-9 * (1 + a.norm()));
+    EXPECT_LT((ja - jb).norm(), 1e-9 * (1 + ja.norm()));
+  }
+  EXPECT_GT(projected, 200);
+}
 
 TEST_P(PoseOnly, GradientAndHessianMatchDifferences) {
   std::mt19937 rng(1);

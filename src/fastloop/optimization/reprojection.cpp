@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "fastloop/optimization/rig_model.hpp"
+
 namespace fastloop::optimization {
 namespace {
 
@@ -13,9 +15,11 @@ struct PointTerms {
   Vector3d jtr = Vector3d::Zero();
 };
 
-/// Any rig, through StereoRig::residual.
+/// Any rig.
 struct GeneralModel {
-  const StereoRig& rig;
+  RigModel rig;
+
+  explicit GeneralModel(const StereoRig& r) : rig(r) {}
 
   PointTerms terms(const Vector3d& p, const PixelObservation& z) const {
     StereoRig::Residual r = StereoRig::Residual::Zero();
@@ -171,10 +175,6 @@ int classify(const Model& model, const SE3& T_left_world,
   return count;
 }
 
-bool is_plain_rectified(const StereoRig& rig) {
-  return rig.kind == StereoRig::Kind::kRectified && rig.left.is_ideal_pinhole();
-}
-
 }  // namespace
 
 bool is_usable(const StereoRig& rig, const PoseObservation& o) {
@@ -188,18 +188,18 @@ bool is_usable(const StereoRig& rig, const PoseObservation& o) {
 ReprojectionTerms accumulate_reprojection(const StereoRig& rig, const SE3& T_left_world,
                                           std::span<const PoseObservation> observations,
                                           std::span<const std::uint8_t> active, bool robust) {
-  if (is_plain_rectified(rig))
+  if (RigModel(rig).is_plain_rectified())
     return accumulate(RectifiedModel(rig), T_left_world, observations, active, robust);
-  return accumulate(GeneralModel{rig}, T_left_world, observations, active, robust);
+  return accumulate(GeneralModel(rig), T_left_world, observations, active, robust);
 }
 
 int classify_by_gate(const StereoRig& rig, const SE3& T_left_world,
                      std::span<const PoseObservation> observations,
                      std::span<const std::uint8_t> usable, double gate_scale,
                      std::span<std::uint8_t> inlier) {
-  if (is_plain_rectified(rig))
+  if (RigModel(rig).is_plain_rectified())
     return classify(RectifiedModel(rig), T_left_world, observations, usable, gate_scale, inlier);
-  return classify(GeneralModel{rig}, T_left_world, observations, usable, gate_scale, inlier);
+  return classify(GeneralModel(rig), T_left_world, observations, usable, gate_scale, inlier);
 }
 
 ReprojectionTerms in_body_frame(const ReprojectionTerms& left, const SE3& T_body_left) {
