@@ -24,6 +24,10 @@ void convert_calibration(const ConvertCalibArguments& arguments) {
             << io::describe_calibration(imported.calibration);
   for (const std::string& remark : imported.remarks)
     std::cout << "remark        " << remark << "\n";
+  if (!imported.camera_rate_known)
+    std::cout << "remark        the camera rate is not stated: "
+              << imported.calibration.cameras[0].rate_hz
+              << " Hz is written, correct rate_hz if it is wrong\n";
   std::cout << "wrote         " << arguments.output << "\n";
 }
 
