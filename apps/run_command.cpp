@@ -11,6 +11,7 @@
 #include "fastloop/core/error.hpp"
 #include "fastloop/core/logging.hpp"
 #include "fastloop/io/dataset.hpp"
+#include "fastloop/io/options_yaml.hpp"
 #include "fastloop/io/run_output.hpp"
 #include "fastloop/system/system.hpp"
 
@@ -134,6 +135,7 @@ int run(const RunArguments& args) {
   for (const std::string& remark : dataset->remarks()) logger("io").warn("{}", remark);
 
   system::SystemOptions options;
+  if (!args.config.empty()) io::load_options(args.config, options);
   options.mode = parse_mode(args.mode);
   options.deterministic = args.deterministic;
   options.drop_when_busy = args.realtime;
@@ -175,6 +177,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->add_option("--out", args->out, "Folder for the results; created when missing")->required();
   command->add_option("--mode", args->mode, "Sensors to use")->check(CLI::IsMember({"auto", "stereo", "stereo-inertial", "rgbd"}))->capture_default_str();
   command->add_option("--calib", args->calibration, "Calibration file that replaces the data set's own (own YAML, Kalibr, ORB-SLAM3)");
+  command->add_option("--config", args->config, "YAML with options that differ from the defaults (docs/options.md)");
   command->add_flag("--deterministic", args->deterministic, "One thread of control: the same bytes in every run");
   command->add_flag("--realtime", args->realtime, "Play at the recorded pace; frames that come too late are dropped and counted");
   command->add_option("--max-frames", args->max_frames, "Stop after this many frames; 0 = all")->capture_default_str();

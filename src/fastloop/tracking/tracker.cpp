@@ -390,7 +390,7 @@ bool Tracker::wants_keyframe(const Input& input) const {
   s.seconds_since_keyframe = to_seconds(frame_.stamp_ns - last_keyframe_ns_);
   s.inliers = inliers_;
   const bool young = snapshot_->map_info(map_).num_keyframes <= 2;
-  s.reference_landmarks = snapshot_->count_tracked(frame_.reference, young ? 2 : 3);
+  s.reference_landmarks = snapshot_->count_tracked(frame_.reference, young ? 1 : 2);
   s.mapping_idle = input.mapping_idle;
   s.imu_initialized = imu_ready();
   count_close_points(frame_, close_depth_m(), s);
