@@ -16,7 +16,7 @@ struct StereoMatchOptions {
   int max_distance = 75;            ///< Hamming, below which descriptors may match
   float row_tolerance_px = 2;       ///< distance from the row or epipolar line, times the scale
   int search_px = 5;                ///< refinement: range about the matched keypoint, level pixels
-  float min_correlation = 0.7f;     ///< of the refined patches
+  float min_correlation = 0.85f;     ///< of the refined patches
   float min_disparity_px = 0.1f;    ///< rectified: less is as good as infinitely far
   float best_to_second = 0.8f;      ///< fisheye: ratio of the best distance to the second best
   float min_parallax_rad = 0.005f;  ///< fisheye
