@@ -97,8 +97,8 @@ class Adjustment {
   void add_imu_edges();
   void fix_blocks();
   BundleSolver linear_solver() const;
-  ceres::Solver::Options solver_options(int iterations, double seconds) const;
-  bool solve(int iterations, BundleResult* result);
+  ceres::Solver::Options solver_options(int iterations, double seconds, bool only_to_gate) const;
+  bool solve(int iterations, bool only_to_gate, BundleResult* result);
   void set_weights(bool gate);
   double chi2(std::size_t observation, int* size) const;
   double kept_cost() const;
@@ -217,7 +217,8 @@ BundleSolver Adjustment::linear_solver() const {
   return num_free_poses_ <= kMaxSparsePoses ? BundleSolver::kSparse : BundleSolver::kIterative;
 }
 
-ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds) const {
+ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds,
+                                                  bool only_to_gate) const {
   ceres::Solver::Options options;
   switch (linear_solver()) {
     case BundleSolver::kSparse:
@@ -230,9 +231,11 @@ ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds
     default:
       options.linear_solver_type = ceres::DENSE_SCHUR;
   }
-  // A relative decrease below this is a small part of one standard deviation of a local problem.
-  // Large ones advance in small steps and are given more patience.
-  options.function_tolerance = options.linear_solver_type == ceres::DENSE_SCHUR ? 1e-5 : 1e-6;
+  // In a local problem a relative decrease of 1e-5 is a small part of one standard deviation, and a
+  // pass that only has to tell outliers needs less. Large problems advance in small steps: be
+  // patient.
+  const bool local = options.linear_solver_type == ceres::DENSE_SCHUR;
+  options.function_tolerance = !local ? 1e-6 : only_to_gate ? 1e-3 : 1e-5;
   options.max_num_iterations = iterations;
   options.num_threads = options_.threads;
   options.logging_type = ceres::SILENT;
@@ -254,13 +257,13 @@ ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds
 }
 
 /// False when Ceres could not produce a usable state; `result->reason` says why.
-bool Adjustment::solve(int iterations, BundleResult* result) {
+bool Adjustment::solve(int iterations, bool only_to_gate, BundleResult* result) {
   double seconds = 0;
   if (options_.max_seconds > 0) {
     seconds = options_.max_seconds - 1e-3 * watch_.elapsed_ms();
     if (seconds <= 0) return true;
   }
-  ceres::Solver::Options options = solver_options(iterations, seconds);
+  ceres::Solver::Options options = solver_options(iterations, seconds, only_to_gate);
   CancelCallback cancel(options_.cancel);
   options.callbacks.push_back(&cancel);
   ceres::Solver::Summary summary;
@@ -362,10 +365,10 @@ BundleResult Adjustment::run(BundleProblem& output) {
     std::swap_ranges(motions_.begin(), motions_.end(), motions.begin());
     std::swap_ranges(points_.begin(), points_.end(), points.begin());
   };
-  bool usable = solve(options_.iterations, &result);
+  bool usable = solve(options_.iterations, options_.iterations_after_gate > 0, &result);
   if (usable && !result.cancelled && options_.iterations_after_gate > 0) {
     set_weights(true);
-    usable = solve(options_.iterations_after_gate, &result);
+    usable = solve(options_.iterations_after_gate, false, &result);
   }
   result.final_cost = kept_cost();
   exchange_with_start();

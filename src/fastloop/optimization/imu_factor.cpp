@@ -37,59 +37,62 @@ ImuFactor::ImuFactor(const PreintegratedImu& imu)
 ImuFactor::Vector15d ImuFactor::residual(const NavState& from, const NavState& to,
                                          Matrix15d* d_from, Matrix15d* d_to) const {
   const double dt = imu_->duration_s();
-  const Matrix3d R_from_inv = from.T_world_body.rotation.toRotationMatrix().transpose();
-  const Vector3d d_gyro_bias = from.bias.gyro - imu_->bias().gyro;
-  const Vector3d rotation_error =
-      so3::log(imu_->delta_rotation(from.bias).conjugate() *
-               (from.T_world_body.rotation.conjugate() * to.T_world_body.rotation));
-  const Vector3d velocity_change = R_from_inv * (to.v_world - from.v_world - dt * kGravityWorld);
-  const Vector3d position_change =
-      R_from_inv * (to.T_world_body.translation - from.T_world_body.translation -
-                    dt * from.v_world - 0.5 * dt * dt * kGravityWorld);
+  Changes c;
+  c.R_from_inv = from.T_world_body.rotation.toRotationMatrix().transpose();
+  c.turn = from.T_world_body.rotation.conjugate() * to.T_world_body.rotation;
+  c.rotation_error = so3::log(imu_->delta_rotation(from.bias).conjugate() * c.turn);
+  c.velocity = c.R_from_inv * (to.v_world - from.v_world - dt * kGravityWorld);
+  c.position = c.R_from_inv * (to.T_world_body.translation - from.T_world_body.translation -
+                               dt * from.v_world - 0.5 * dt * dt * kGravityWorld);
   Vector15d r;
-  r << rotation_error, velocity_change - imu_->delta_velocity(from.bias),
-      position_change - imu_->delta_position(from.bias), to.bias.gyro - from.bias.gyro,
+  r << c.rotation_error, c.velocity - imu_->delta_velocity(from.bias),
+      c.position - imu_->delta_position(from.bias), to.bias.gyro - from.bias.gyro,
       to.bias.accel - from.bias.accel;
-
   const auto whiten = [&](auto& m) {
     m.template topRows<9>() = (sqrt_information_ * m.template topRows<9>()).eval();
     m.template middleRows<3>(9) *= gyro_walk_weight_;
     m.template bottomRows<3>() *= accel_walk_weight_;
   };
-  if (d_from || d_to) {
-    const Matrix3d R_to = to.T_world_body.rotation.toRotationMatrix();
-    const Matrix3d jr_inv = so3::right_jacobian_inverse(rotation_error);
-    if (d_from) {
-      Matrix15d& j = *d_from;
-      j.setZero();
-      j.block<3, 3>(0, 0) = -jr_inv * (R_from_inv * R_to).transpose();
-      j.block<3, 3>(0, 9) = -jr_inv * so3::exp(rotation_error).toRotationMatrix().transpose() *
-                            so3::right_jacobian(imu_->d_rotation_d_gyro_bias() * d_gyro_bias) *
-                            imu_->d_rotation_d_gyro_bias();
-      j.block<3, 3>(3, 0) = so3::hat(velocity_change);
-      j.block<3, 3>(3, 6) = -R_from_inv;
-      j.block<3, 3>(3, 9) = -imu_->d_velocity_d_gyro_bias();
-      j.block<3, 3>(3, 12) = -imu_->d_velocity_d_accel_bias();
-      j.block<3, 3>(6, 0) = so3::hat(position_change);
-      j.block<3, 3>(6, 3) = -Matrix3d::Identity();
-      j.block<3, 3>(6, 6) = -dt * R_from_inv;
-      j.block<3, 3>(6, 9) = -imu_->d_position_d_gyro_bias();
-      j.block<3, 3>(6, 12) = -imu_->d_position_d_accel_bias();
-      j.block<6, 6>(9, 9) = -Matrix6d::Identity();
-      whiten(j);
-    }
-    if (d_to) {
-      Matrix15d& j = *d_to;
-      j.setZero();
-      j.block<3, 3>(0, 0) = jr_inv;
-      j.block<3, 3>(3, 6) = R_from_inv;
-      j.block<3, 3>(6, 3) = R_from_inv * R_to;
-      j.block<6, 6>(9, 9).setIdentity();
-      whiten(j);
-    }
+  if (d_from) {
+    *d_from = derivative_by_from(from, c);
+    whiten(*d_from);
+  }
+  if (d_to) {
+    *d_to = derivative_by_to(c);
+    whiten(*d_to);
   }
   whiten(r);
   return r;
+}
+
+ImuFactor::Matrix15d ImuFactor::derivative_by_from(const NavState& from, const Changes& c) const {
+  const Matrix3d jr_inv = so3::right_jacobian_inverse(c.rotation_error);
+  const Matrix3d& d_turn = imu_->d_rotation_d_gyro_bias();
+  const Vector3d correction = d_turn * (from.bias.gyro - imu_->bias().gyro);
+  Matrix15d j = Matrix15d::Zero();
+  j.block<3, 3>(0, 0) = -jr_inv * c.turn.toRotationMatrix().transpose();
+  j.block<3, 3>(0, 9) = -jr_inv * so3::exp(c.rotation_error).toRotationMatrix().transpose() *
+                        so3::right_jacobian(correction) * d_turn;
+  j.block<3, 3>(3, 0) = so3::hat(c.velocity);
+  j.block<3, 3>(3, 6) = -c.R_from_inv;
+  j.block<3, 3>(3, 9) = -imu_->d_velocity_d_gyro_bias();
+  j.block<3, 3>(3, 12) = -imu_->d_velocity_d_accel_bias();
+  j.block<3, 3>(6, 0) = so3::hat(c.position);
+  j.block<3, 3>(6, 3) = -Matrix3d::Identity();
+  j.block<3, 3>(6, 6) = -imu_->duration_s() * c.R_from_inv;
+  j.block<3, 3>(6, 9) = -imu_->d_position_d_gyro_bias();
+  j.block<3, 3>(6, 12) = -imu_->d_position_d_accel_bias();
+  j.block<6, 6>(9, 9) = -Matrix6d::Identity();
+  return j;
+}
+
+ImuFactor::Matrix15d ImuFactor::derivative_by_to(const Changes& c) const {
+  Matrix15d j = Matrix15d::Zero();
+  j.block<3, 3>(0, 0) = so3::right_jacobian_inverse(c.rotation_error);
+  j.block<3, 3>(3, 6) = c.R_from_inv;
+  j.block<3, 3>(6, 3) = c.turn.toRotationMatrix();
+  j.block<6, 6>(9, 9).setIdentity();
+  return j;
 }
 
 NavState retract(const NavState& state, const Eigen::Matrix<double, 15, 1>& d) {

@@ -23,6 +23,15 @@ class ImuFactor {
                      Matrix15d* d_to = nullptr) const;
 
  private:
+  /// What the states say about the interval, in the body frame of the first.
+  struct Changes {
+    Matrix3d R_from_inv;
+    Eigen::Quaterniond turn;
+    Vector3d rotation_error, velocity, position;
+  };
+  Matrix15d derivative_by_from(const NavState& from, const Changes& c) const;
+  Matrix15d derivative_by_to(const Changes& c) const;
+
   const PreintegratedImu* imu_;
   Eigen::Matrix<double, 9, 9> sqrt_information_;  ///< W^T W = inverse covariance
   double gyro_walk_weight_, accel_walk_weight_;
