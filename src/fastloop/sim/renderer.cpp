@@ -81,12 +81,12 @@ double unit(std::uint64_t h) { return static_cast<double>(h >> 11) * 0x1.0p-53; 
 RayTable::RayTable(const Camera& camera)
     : width_(camera.width), height_(camera.height),
       stride_((camera.width + kLanes) / kLanes * kLanes + kLanes) {
-  const std::size_t n = static_cast<std::size_t>(height_ + 1) * stride_;
+  const std::size_t n = static_cast<std::size_t>(height_ + kPacketRows) * stride_;
   x_.resize(n);
   y_.resize(n);
   z_.resize(n);
   falloff_.resize(static_cast<std::size_t>(width_) * height_);
-  for_row_bands(height_ + 1, [&](int begin, int end) {
+  for_row_bands(height_ + kPacketRows, [&](int begin, int end) {
     for (int v = begin; v < end; ++v) {
       for (int u = 0; u < stride_; ++u) {
         const Vector3d ray = camera.unproject(Eigen::Vector2d(std::min(u, width_), v));
@@ -101,17 +101,17 @@ RayTable::RayTable(const Camera& camera)
 }
 
 void RayTable::load(int x, int y, RayPacket& r) const {
-  const std::size_t here = index(x, y), below = here + stride_;
   for (int l = 0; l < kLanes; ++l) {
-    r.x[l] = x_[here + l];
-    r.y[l] = y_[here + l];
-    r.z[l] = z_[here + l];
-    r.ux[l] = x_[here + l + 1] - r.x[l];
-    r.uy[l] = y_[here + l + 1] - r.y[l];
-    r.uz[l] = z_[here + l + 1] - r.z[l];
-    r.vx[l] = x_[below + l] - r.x[l];
-    r.vy[l] = y_[below + l] - r.y[l];
-    r.vz[l] = z_[below + l] - r.z[l];
+    const std::size_t here = index(x + lane_column(l), y + lane_row(l));
+    r.x[l] = x_[here];
+    r.y[l] = y_[here];
+    r.z[l] = z_[here];
+    r.ux[l] = x_[here + 1] - r.x[l];
+    r.uy[l] = y_[here + 1] - r.y[l];
+    r.uz[l] = z_[here + 1] - r.z[l];
+    r.vx[l] = x_[here + stride_] - r.x[l];
+    r.vy[l] = y_[here + stride_] - r.y[l];
+    r.vz[l] = z_[here + stride_] - r.z[l];
   }
 }
 
@@ -173,16 +173,19 @@ void Renderer::draw_rows(const TracedView& view, const RayTable& table, int begi
   RayPacket rays;
   PacketHits hits;
   alignas(64) float value[kLanes];
-  for (int y = begin; y < end; ++y) {
-    for (int x = 0; x < canvas.width; x += kLanes) {
+  for (int y = begin; y < end; y += kPacketRows) {
+    for (int x = 0; x < canvas.width; x += kPacketColumns) {
       table.load(x, y, rays);
       view.trace(rays, hits);
       shade(view, rays, hits, value);
-      const std::size_t at = static_cast<std::size_t>(y) * canvas.width + x;
-      const int n = std::min(kLanes, canvas.width - x);
-      std::copy_n(value, n, canvas.brightness.begin() + at);
-      std::copy_n(hits.distance, n, canvas.distance.begin() + at);
-      std::copy_n(hits.surface, n, canvas.surface.begin() + at);
+      for (int l = 0; l < kLanes; ++l) {
+        const int u = x + lane_column(l), v = y + lane_row(l);
+        if (u >= canvas.width || v >= end) continue;
+        const std::size_t at = static_cast<std::size_t>(v) * canvas.width + u;
+        canvas.brightness[at] = value[l];
+        canvas.distance[at] = hits.distance[l];
+        canvas.surface[at] = hits.surface[l];
+      }
     }
   }
 }

@@ -9,6 +9,11 @@
 
 namespace fastloop::sim {
 
+/// A packet covers 8x2 pixels, two blocks of 4x2: neighbours see the same surfaces.
+inline constexpr int kPacketColumns = 8, kPacketRows = 2;
+constexpr int lane_column(int lane) { return lane / 8 * 4 + lane % 4; }
+constexpr int lane_row(int lane) { return lane / 4 % 2; }
+
 /// Ray of every pixel of a camera, computed once.
 class RayTable {
  public:
@@ -16,7 +21,7 @@ class RayTable {
 
   int width() const { return width_; }
   int height() const { return height_; }
-  /// Rays of kLanes pixels of a row, from column x on.
+  /// Rays of the 8x2 pixels from (x, y) on; lane_column and lane_row say which lane is which.
   void load(int x, int y, RayPacket& rays) const;
   /// Ray of one point of a pixel, by offsets in pixels, into one lane.
   void load_lane(int x, int y, float offset_x, float offset_y, int lane, RayPacket& rays) const;
@@ -28,7 +33,7 @@ class RayTable {
   std::size_t index(int x, int y) const { return static_cast<std::size_t>(y) * stride_ + x; }
 
   int width_, height_, stride_;
-  std::vector<float> x_, y_, z_;   ///< [(height + 1) * stride]
+  std::vector<float> x_, y_, z_;   ///< [(height + 2) * stride]
   std::vector<float> falloff_;     ///< [height * width] vignetting
 };
 

@@ -18,7 +18,7 @@ constexpr double kShortestSeconds = 0.1, kLongestSeconds = 7200;
 float exposure_gain(double t_s, int camera, std::uint64_t seed) {
   const double phase = 2 * M_PI * static_cast<double>(mix64(seed ^ 0xE0) >> 11) * 0x1.0p-53;
   const double drift = 0.10 * std::sin(2 * M_PI * t_s / 17 + phase) + 0.04 * std::sin(2 * M_PI * t_s / 7.3);
-  return static_cast<float>((1.08 + drift) * (camera == 0 ? 1.0 : 1.035));
+  return static_cast<float>((1.25 + drift) * (camera == 0 ? 1.0 : 1.035));
 }
 
 std::uint64_t image_seed(std::uint64_t seed, std::size_t frame, int camera) {

@@ -12,8 +12,9 @@ namespace {
 constexpr float kLacunarity = 0.46f;     ///< cell size of a layer over that of the coarser one
 constexpr float kFinest_m = 0.004f;      ///< no cells smaller than this
 constexpr int kMaxLayers = 14;
-constexpr float kFadeOut_px = 6.0f;      ///< cells of this many pixels are invisible
-constexpr float kFadeIn_px = 14.0f;      ///< and from here on they are drawn in full
+constexpr float kFadeOut_px = 7.0f;      ///< cells of this many pixels are invisible
+constexpr float kFadeIn_px = 16.0f;      ///< and from here on they are drawn in full
+constexpr float kGrazing = 0.16f;        ///< share of the long side of a footprint, squared
 
 constexpr float byte(std::uint32_t h, int shift) {
   return static_cast<float>((h >> shift) & 255u) * (1.0f / 255.0f);
@@ -31,10 +32,10 @@ struct Layer {
 Layer make_layer(const Surface& surface, int k, float cell_m) {
   const std::uint32_t h = mix32(surface.seed + 0x9E3779B9u * static_cast<std::uint32_t>(k + 1));
   // Coarse layers follow the edges of the surface, fine ones lie any way.
-  const float angle = (byte(h, 0) - 0.5f) * (k < 2 ? 0.12f : 1.5f);
+  const float half_tan = (byte(h, 0) - 0.5f) * (k < 2 ? 0.06f : 0.8f);  // tangent of half the angle
   Layer layer;
-  layer.cos = std::cos(angle);
-  layer.sin = std::sin(angle);
+  layer.cos = (1 - half_tan * half_tan) / (1 + half_tan * half_tan);
+  layer.sin = 2 * half_tan / (1 + half_tan * half_tan);
   layer.inverse_cell = 1.0f / cell_m;
   layer.opacity = (k < 2 ? 0.92f : 0.80f) - 0.25f * byte(h, 8);
   layer.seed = mix32(h + 0x51ED270Bu);
@@ -64,7 +65,7 @@ inline CellShape cell_shape(std::uint32_t h, float rx, float ry, float inv_fx, f
   const float round = (kind >= 7u) & (kind < 10u) ? 1.0f : 0.0f;
   const float hollow = (kind >= 10u) & (kind < 13u) ? 1.0f : 0.0f;
   const float check = kind >= 13u ? 1.0f : 0.0f;
-  const float present = ((g >> 16) & 255u) < 205u ? 1.0f : 0.0f;
+  const float present = ((g >> 16) & 255u) < 165u ? 1.0f : 0.0f;
   CellShape shape;
   shape.coverage = present * (box + round * (disc - box) - hollow * inner);
   const float tone = 2.0f * byte(g, 8) - 1.0f;
@@ -102,7 +103,10 @@ void shade_texels(const Surface& surface, const TexelBlock& p, float* brightness
   float smallest = 1e9f;
   for (int l = 0; l < kTexels; ++l) {
     const float u = p.su[l] * p.su[l] + p.tu[l] * p.tu[l], v = p.sv[l] * p.sv[l] + p.tv[l] * p.tv[l];
-    footprint_m[l] = std::min(std::sqrt(std::max(u, v)) + 1e-7f, 1e6f);
+    // On surfaces seen at a grazing angle the short side of the footprint counts too: the shapes are filtered
+    // along each side separately, so that only cells crossed by the long side have to go.
+    const float longest = std::max(u, v), cross = std::abs(p.su[l] * p.tv[l] - p.sv[l] * p.tu[l]);
+    footprint_m[l] = std::min(std::sqrt(std::max(cross, kGrazing * longest)) + 1e-7f, 1e6f);
     value[l] = surface.base_grey;
   }
   for (int l = 0; l < kTexels; ++l) smallest = std::min(smallest, footprint_m[l]);
