@@ -1,3 +1,7 @@
+#include <algorithm>
+#include <cstdio>
+#include <vector>
+
 #include "fastloop/core/error.hpp"
 #include "fastloop/io/calibration_import.hpp"
 #include "fastloop/io/dataset_layouts.hpp"
@@ -84,15 +88,25 @@ std::vector<RecordedFrame> read_frames(const fs::path& folder, std::vector<std::
   return frames;
 }
 
-/// What ROS assumes of an uncalibrated Kinect, with the depth scale of the TUM data sets.
-Calibration default_kinect() {
+/// Two kinds of uncalibrated Kinect recordings are common: the TUM data sets (5000 units per metre, ROS
+/// intrinsics) and Microsoft's (millimetres, 585 pixels, as published with 7-Scenes). The unit tells them
+/// apart: in millimetres the median depth of an indoor view stays below what 5000 per metre would make
+/// of 0.9 m, the near limit of the sensor's useful range.
+Calibration default_kinect(const fs::path& depth_image) {
+  std::vector<float> raw;
+  for (const float d : read_depth_image(depth_image, 1.0).pixels)
+    if (d > 0) raw.push_back(d);
+  const auto middle = raw.begin() + static_cast<std::ptrdiff_t>(raw.size() / 2);
+  std::nth_element(raw.begin(), middle, raw.end());
+  const bool millimetres = !raw.empty() && *middle < 4500;
+
   Calibration c;
   c.cameras.resize(1);
   Camera& camera = c.cameras[0].camera;
   camera.width = 640, camera.height = 480;
-  camera.fx = camera.fy = 525;
-  camera.cx = 319.5, camera.cy = 239.5;
-  c.depth.emplace().units_per_metre = 5000;
+  camera.fx = camera.fy = millimetres ? 585 : 525;
+  camera.cx = millimetres ? 320 : 319.5, camera.cy = millimetres ? 240 : 239.5;
+  c.depth.emplace().units_per_metre = millimetres ? 1000 : 5000;
   return c;
 }
 
@@ -120,12 +134,14 @@ void read_calibration(const fs::path& folder, const OpenOptions& options, Record
     throw InputError(in_file(folder / "calibration.yaml"),
                      "there is no calibration for this RGB-D camera",
                      "a calibration file given with --calib");
-  recording.calibration = default_kinect();
+  recording.calibration = default_kinect(recording.frames[0].second);
   recording.camera_rate_known = false;
-  recording.remarks.push_back(
-      "no calibration: fx = fy = 525, cx = 319.5, cy = 239.5, 5000 depth units per metre are "
-      "assumed; "
-      "give the true values with --calib");
+  const Camera& camera = recording.calibration.cameras[0].camera;
+  char assumed[160];
+  std::snprintf(assumed, sizeof assumed,
+                "no calibration: fx = fy = %g, cx = %g, cy = %g, %g depth units per metre are assumed; give the true values with --calib",
+                camera.fx, camera.cx, camera.cy, recording.calibration.depth->units_per_metre);
+  recording.remarks.push_back(assumed);
 }
 
 }  // namespace

@@ -30,7 +30,7 @@ optimization::InertialInitProblem make_problem(const map::Map& map, const std::v
   const bool first = stage == 0;
   problem.guess_gravity = first;
   problem.gyro_prior_information = first ? 1e2 : 1.0;
-  problem.accel_prior_information = first ? 1e5 : stage == 1 ? 1e4 : 1e3;
+  problem.accel_prior_information = first ? 1e2 : stage == 1 ? 1e1 : 1.0;
   problem.bias = map.keyframe(chain.back()).state.bias;
   for (const KeyframeId k : chain) {
     problem.T_world_body.push_back(map.keyframe(k).state.T_world_body);
