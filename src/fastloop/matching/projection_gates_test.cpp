@@ -2,6 +2,7 @@
 
 #include <limits>
 
+#include "fastloop/matching/expectations_for_tests.hpp"
 #include "fastloop/matching/projection_search.hpp"
 #include "fastloop/matching/scene_for_tests.hpp"
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/matching/expectations_for_tests.hpp"
 #include "fastloop/matching/scene_for_tests.hpp"
 
 namespace fastloop::matching {

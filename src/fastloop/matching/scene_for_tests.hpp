@@ -1,7 +1,5 @@
 #pragma once
 
-#include <gtest/gtest.h>
-
 #include <random>
 
 #include "fastloop/matching/projection_search.hpp"
@@ -193,13 +191,6 @@ inline std::vector<ProjectionMatches> run(const Executor& executor, const Scene&
   search_by_projection(executor, scene.rig, scene.scales, targets, scene.landmarks.view(), options,
                        results);
   return results;
-}
-
-inline void expect_equal(const ProjectionMatches& a, const ProjectionMatches& b) {
-  EXPECT_EQ(a.keypoint, b.keypoint);
-  EXPECT_EQ(a.distance, b.distance);
-  EXPECT_EQ(a.in_view, b.in_view);
-  EXPECT_EQ(a.count, b.count);
 }
 
 }  // namespace fastloop::matching::testing
