@@ -27,7 +27,7 @@ struct Style {
 Style style(WorldKind kind) {
   switch (kind) {
     case WorldKind::kRoom: return {0.85, 1.0, 1.25, 0.3, 1.45, 0.35, 1.0, 1.0, 0.05};
-    case WorldKind::kHall: return {1.2, 1.3, 2.5, 0.8, 2.6, 1.1, 1.0, 1.3, 0.05};
+    case WorldKind::kHall: return {1.12, 1.2, 2.5, 0.8, 2.6, 0.8, 1.0, 1.2, 0.05};
     case WorldKind::kCorridor: return {1.36, 1.38, 1.5, 0.5, 1.5, 0.06, 0.6, 0.7, 0.0};
     case WorldKind::kCampus: return {3.8, 4.2, 7.0, 2.0, 2.2, 0.4, 0.8, 0.8, -0.06};
   }
@@ -188,7 +188,7 @@ FloorPath floor_path(WorldKind kind) {
   switch (kind) {
     case WorldKind::kRoom: return FloorPath({{-2.3, -1.5}, {2.3, -1.5}, {2.3, 1.5}, {-2.3, 1.5}}, radius);
     case WorldKind::kHall:
-      return FloorPath({{-8.5, -4}, {-1.5, -4}, {3, -4.6}, {8.5, -4}, {8.5, 4}, {1, 3.2}, {-8.5, 4}},
+      return FloorPath({{-5.8, -3.1}, {-1.5, -3.1}, {2, -3.7}, {5.8, -3.1}, {5.8, 3.1}, {1, 2.5}, {-5.8, 3.1}},
                        radius);
     case WorldKind::kCorridor: return FloorPath(corridor_corners(), radius);
     case WorldKind::kCampus: {
