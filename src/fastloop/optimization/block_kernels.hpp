@@ -113,7 +113,4 @@ const KernelSet& avx2_kernels();
 const KernelSet& avx512_kernels();
 #endif
 
-/// The widest set this machine runs.
-const KernelSet& best_kernels();
-
 }  // namespace fastloop::optimization::block

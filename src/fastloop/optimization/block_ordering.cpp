@@ -37,12 +37,19 @@ void build_graph(int n, const std::vector<int>& ends, Graph& graph) {
 
 std::vector<int> minimum_degree_order(const Graph& graph) {
   const int n = graph.size();
-  // Only the pattern counts; one byte a value keeps the copies small.
+  // Only the pattern counts; one byte a value keeps the copies small. Eigen takes a vertex without a diagonal entry
+  // for dense and puts it last, so the diagonal must be there.
   Eigen::SparseMatrix<signed char, Eigen::ColMajor, int> pattern(n, n);
-  pattern.resizeNonZeros(graph.neighbour.size());
-  std::copy(graph.begin.begin(), graph.begin.end(), pattern.outerIndexPtr());
-  std::copy(graph.neighbour.begin(), graph.neighbour.end(), pattern.innerIndexPtr());
-  std::fill_n(pattern.valuePtr(), graph.neighbour.size(), static_cast<signed char>(1));
+  pattern.resizeNonZeros(static_cast<Eigen::Index>(graph.neighbour.size()) / 2 + n);
+  int entry = 0;
+  for (int v = 0; v < n; ++v) {
+    pattern.outerIndexPtr()[v] = entry;
+    pattern.innerIndexPtr()[entry++] = v;
+    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k)
+      if (graph.neighbour[k] > v) pattern.innerIndexPtr()[entry++] = graph.neighbour[k];
+  }
+  pattern.outerIndexPtr()[n] = entry;
+  std::fill_n(pattern.valuePtr(), entry, static_cast<signed char>(1));
   Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> permutation;
   Eigen::AMDOrdering<int>()(pattern.selfadjointView<Eigen::Lower>(), permutation);
   return {permutation.indices().data(), permutation.indices().data() + n};

@@ -1,9 +1,11 @@
 #include "fastloop/optimization/block_passes.hpp"
 
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 #include <tbb/task_group.h>
 
+#include <algorithm>
 #include <atomic>
 #include <functional>
 #include <new>
@@ -55,6 +57,7 @@ Passes::Passes() = default;
 Passes::~Passes() = default;
 
 void Passes::set_threads(int threads) {
+  threads = std::min(threads, tbb::info::default_concurrency());  // more would wait for each other
   if (threads == 1) {
     threads_.reset();
   } else if (!threads_ || threads_->count != threads) {

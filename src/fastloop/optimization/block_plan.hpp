@@ -48,6 +48,9 @@ struct SymbolicPlan {
   double work = 0;            ///< multiplications and additions of one factorisation, estimated
 };
 
+/// The kernels this machine runs, the widest last.
+std::vector<const KernelSet*> usable_kernels();
+
 /// Elimination of `graph` in the given order (which becomes a postorder of the elimination tree), for blocks of
 /// `block_size` unknowns.
 void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size, SymbolicPlan& plan);

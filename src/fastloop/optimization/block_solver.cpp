@@ -8,21 +8,18 @@
 
 namespace fastloop::optimization {
 
-const block::KernelSet& block::best_kernels() {
+std::vector<const block::KernelSet*> block::usable_kernels() {
+  std::vector<const KernelSet*> sets{&portable_kernels()};
 #if defined(__x86_64__)
-  static const KernelSet& best = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-                                         __builtin_cpu_supports("avx512vl")
-                                     ? avx512_kernels()
-                                 : __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")
-                                     ? avx2_kernels()
-                                     : portable_kernels();
-  return best;
-#else
-  return portable_kernels();
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) sets.push_back(&avx2_kernels());
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+      __builtin_cpu_supports("avx512vl"))
+    sets.push_back(&avx512_kernels());
 #endif
+  return sets;
 }
 
-PoseGraphPlan::Impl::Impl() = default;
+PoseGraphPlan::Impl::Impl() : kernel_set_(block::usable_kernels().back()) {}
 PoseGraphPlan::Impl::~Impl() = default;
 
 namespace {
@@ -242,7 +239,7 @@ void PoseGraphPlan::Impl::solve(PoseGraphProblem& problem, const PoseGraphOption
                                 PoseGraphResult& result) {
   passes_.set_threads(options.threads);
   prepare(problem, result);
-  kernels_ = block::best_kernels().model[static_cast<int>(model_)];
+  kernels_ = kernel_set_->model[static_cast<int>(model_)];
   load(problem, options);
   iterate(options, result);
   if (std::isfinite(options.rejection_gate) && reject_outliers(problem, options.rejection_gate, result) > 0) {

@@ -16,14 +16,16 @@ class PoseGraphPlan::Impl {
   ~Impl();
 
   void solve(PoseGraphProblem& problem, const PoseGraphOptions& options, PoseGraphResult& result);
+  /// Other kernels than the widest this machine runs.
+  void use_kernels(const block::KernelSet& set) { kernel_set_ = &set; }
 
  private:
   // block_structure.cpp: from edge ends to fronts, tasks and memory
   bool same_structure(const PoseGraphProblem& problem) const;
   bool can_extend(const PoseGraphProblem& problem) const;
   void prepare(const PoseGraphProblem& problem, PoseGraphResult& result);
-  std::vector<int> extended_order(const std::vector<int>& old_free_pose, const std::vector<int>& old_order,
-                                  std::size_t old_edges) const;
+  std::vector<int> extended_order(const std::vector<int>& old_free_pose,
+                                  const std::vector<int>& old_order) const;
   void remember_structure(const PoseGraphProblem& problem);
   void assign_slots(const PoseGraphProblem& problem);
   void build_views();
@@ -81,6 +83,7 @@ class PoseGraphPlan::Impl {
   std::vector<double> front_norm_, chunk_cost_;
   std::vector<std::uint8_t> task_ok_;
   block::PassContext context_;
+  const block::KernelSet* kernel_set_;
   block::ModelKernels kernels_;
   block::Passes passes_;
 };

@@ -66,25 +66,22 @@ void PoseGraphPlan::Impl::remember_structure(const PoseGraphProblem& problem) {
   }
 }
 
-/// The old order without the vertices that new edges touch; those and the new vertices come last. Fill then grows
-/// only where the graph changed.
+/// The new vertices first, the newest of all leading, then the old order. A map grows at an end, where elimination
+/// best begins; were the new vertices last, every front on the way inwards would carry them along.
 std::vector<int> PoseGraphPlan::Impl::extended_order(const std::vector<int>& old_free_pose,
-                                                     const std::vector<int>& old_order,
-                                                     std::size_t old_edges) const {
+                                                     const std::vector<int>& old_order) const {
   const int n = static_cast<int>(free_pose_.size());
-  std::vector<std::uint8_t> last(n, 1);
-  for (int v : old_order)
-    if (free_index_[old_free_pose[v]] >= 0) last[free_index_[old_free_pose[v]]] = 0;
-  for (std::size_t k = 2 * old_edges; k < ends_.size(); ++k)
-    if (free_index_[ends_[k]] >= 0) last[free_index_[ends_[k]]] = 1;
+  std::vector<std::uint8_t> is_new(n, 1);
+  for (int pose : old_free_pose)
+    if (free_index_[pose] >= 0) is_new[free_index_[pose]] = 0;
   std::vector<int> order;
   order.reserve(n);
+  for (int v = n - 1; v >= 0; --v)
+    if (is_new[v]) order.push_back(v);
   for (int v : old_order) {
     const int now = free_index_[old_free_pose[v]];
-    if (now >= 0 && !last[now]) order.push_back(now);
+    if (now >= 0) order.push_back(now);
   }
-  for (int v = 0; v < n; ++v)
-    if (last[v]) order.push_back(v);
   return order;
 }
 
@@ -93,7 +90,6 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
   if (!result.plan_reused) {
     Stopwatch watch;
     const bool extend = can_extend(problem) && num_poses_ > 0;
-    const std::size_t old_edges = ends_.size() / 2;
     std::vector<int> old_free_pose, old_order;
     if (extend) {
       old_free_pose = free_pose_;
@@ -126,7 +122,7 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
     };
     bool fresh = !extend;
     if (extend) {
-      analyse(extended_order(old_free_pose, old_order, old_edges));
+      analyse(extended_order(old_free_pose, old_order));
       // Extending again and again wears the order out.
       fresh = symbolic_.work > 1.5 * work_per_vertex_at_ordering_ * n;
       result.plan_extended = !fresh;

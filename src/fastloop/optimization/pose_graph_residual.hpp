@@ -14,6 +14,9 @@ inline int residual_size(PoseGraphKind kind) { return kind == PoseGraphKind::kSi
 ///
 /// Vertices are moved in the world frame: X <- exp(d) X with d = [phi, rho, sigma], and for kYaw
 /// X <- (Rz(psi), t) X with d = [psi, t]. Both ends then have opposite derivatives: J_from = -J_to.
+/// kYaw and kSe3 take the exponential of the rotation and the linear part of the translation, t + phi x t + rho: their
+/// translation residual is linear in the positions, and steps land closer to the minimum (measured: one iteration
+/// less). kSim3 takes the exponential of the group, which is better there.
 struct EdgeLinearization {
   Vector7d residual = Vector7d::Zero();       ///< rows beyond residual_size are zero
   Matrix7d jacobian_to = Matrix7d::Zero();    ///< columns beyond tangent_size are zero

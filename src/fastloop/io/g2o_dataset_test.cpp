@@ -1,0 +1,75 @@
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "fastloop/io/g2o.hpp"
+
+namespace fastloop::io {
+namespace {
+
+using optimization::PoseGraphOptions;
+using optimization::PoseGraphProblem;
+using optimization::PoseGraphResult;
+using optimization::PoseGraphSolverKind;
+
+std::filesystem::path graph_file(const std::string& name) {
+  const char* data = std::getenv("FASTLOOP_DATA");
+  return std::filesystem::path(data != nullptr ? data : FASTLOOP_DEFAULT_DATA) / "pose_graphs" / (name + ".g2o");
+}
+
+/// Objective of SE-Sync (Rosen et al. 2019): chordal distances of rotations, isotropic weights that are the harmonic
+/// means of the information of translation and rotation.
+double chordal_objective(const PoseGraphProblem& p) {
+  double sum = 0;
+  for (const auto& e : p.edges) {
+    const auto& w = p.information[e.information];  // rotation first
+    const double kappa = 3 / (2 * Matrix3d(w.topLeftCorner<3, 3>()).inverse().trace());
+    const double tau = 3 / Matrix3d(w.block<3, 3>(3, 3)).inverse().trace();
+    const Sim3 &a = p.poses[e.from], &b = p.poses[e.to];
+    const Matrix3d ra = a.rotation.toRotationMatrix();
+    sum += kappa * (b.rotation.toRotationMatrix() - ra * e.T_from_to.rotation.toRotationMatrix()).squaredNorm();
+    sum += tau * (b.translation - a.translation - ra * e.T_from_to.translation).squaredNorm();
+  }
+  return sum;
+}
+
+struct Case {
+  const char* name;
+  double optimum;  ///< published by Rosen et al.
+};
+
+class PoseGraphData : public ::testing::TestWithParam<Case> {};
+INSTANTIATE_TEST_SUITE_P(All, PoseGraphData,
+                         ::testing::Values(Case{"sphere2500", 1687.0}, Case{"parking-garage", 1.263},
+                                           Case{"smallGrid3D", 1025.4}),
+                         [](const auto& test) {
+                           std::string name = test.param.name;
+                           std::erase(name, '-');
+                           return name;
+                         });
+
+TEST_P(PoseGraphData, EqualsCeresAndTheCertifiedOptimum) {
+  if (!std::filesystem::exists(graph_file(GetParam().name)))
+    GTEST_SKIP() << graph_file(GetParam().name) << " is absent";
+  const G2oGraph start = read_g2o(graph_file(GetParam().name));
+  PoseGraphProblem block = start.problem, ceres = start.problem;
+  const PoseGraphResult b = solve_pose_graph(block);
+  PoseGraphOptions options;
+  options.solver = PoseGraphSolverKind::kCeres;
+  options.relative_tolerance = 1e-12;
+  options.max_iterations = 200;
+  const PoseGraphResult c = solve_pose_graph(ceres, options);
+  EXPECT_EQ(b.status, optimization::PoseGraphStatus::kConverged) << b.reason;
+  EXPECT_NEAR(b.final_cost, c.final_cost, 1e-6 * c.final_cost);
+  EXPECT_NEAR(b.final_cost, optimization::pose_graph_cost(block), 1e-9 * b.final_cost);
+  const double chordal = chordal_objective(block);
+printf("%s block %.12g (%d its) ceres %.12g (%d its) chordal %.8g\n",GetParam().name,b.final_cost,b.iterations,c.final_cost,c.iterations,chordal);
+  RecordProperty("cost", std::to_string(b.final_cost));
+  RecordProperty("ceres_cost", std::to_string(c.final_cost));
+  RecordProperty("chordal", std::to_string(chordal));
+  EXPECT_NEAR(chordal, GetParam().optimum, 0.02 * GetParam().optimum);
+}
+
+}  // namespace
+}  // namespace fastloop::io
