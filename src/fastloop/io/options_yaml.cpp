@@ -55,7 +55,8 @@ void read_options(const YamlNode& root, system::SystemOptions& o) {
               {"fast_min_threshold", into(o.orb.fast_min_threshold)}});
   auto& t = o.tracking;
   read_group(root, "tracking",
-             {{"min_initial_depth_points", into(t.min_initial_depth_points)},
+             {{"imu_noise_factor", into(t.imu_noise_factor)},
+              {"min_initial_depth_points", into(t.min_initial_depth_points)},
               {"min_inliers", into(t.min_inliers)},
               {"min_inliers_inertial", into(t.min_inliers_inertial)},
               {"last_frame_radius_px", into(t.last_frame_radius_px)},

@@ -17,6 +17,10 @@ Tracker::Tracker(const TrackingOptions& options, const std::optional<ImuCalibrat
     : options_(options), imu_calibration_(imu), times_(times) {
   options_.validate();
   if (options_.use_imu && !imu) throw InvalidArgument("TrackingOptions::use_imu needs an IMU calibration");
+  if (imu_calibration_) {
+    imu_calibration_->gyro_noise_density *= options_.imu_noise_factor;
+    imu_calibration_->accel_noise_density *= options_.imu_noise_factor;
+  }
 }
 
 bool Tracker::imu_ready() const {

@@ -18,6 +18,7 @@ void TrackingOptions::validate() const {
   const auto require = [](bool ok, const char* what) {
     if (!ok) throw InvalidArgument(std::string("TrackingOptions::") + what);
   };
+  require(imu_noise_factor > 0, "imu_noise_factor must be positive");
   require(min_initial_depth_points >= 3, "min_initial_depth_points must be at least 3");
   require(min_inliers >= 6 && min_inliers_inertial >= 6, "min_inliers must be at least 6");
   require(last_frame_radius_px > 0 && last_frame_radius_inertial_px > 0, "search radii must be positive");
