@@ -1,0 +1,145 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <opencv2/imgcodecs.hpp>
+#include <sstream>
+
+#include "fastloop/core/time.hpp"
+#include "fastloop/features/orb_extractor.hpp"
+#include "fastloop/geometry/se3.hpp"
+#include "fastloop/place/default_vocabulary.hpp"
+#include "fastloop/place/inverted_index.hpp"
+#include "fastloop/place/vocabulary_io.hpp"
+
+namespace fastloop::place {
+namespace {
+
+namespace fs = std::filesystem;
+
+fs::path data_folder() {
+  const char* given = std::getenv("FASTLOOP_DATA");
+  return fs::path(given ? given : FASTLOOP_DEFAULT_DATA) / "euroc_v101_sparse";
+}
+
+/// FASTLOOP_TEST_VOCABULARY names another vocabulary to measure instead of the one that ships.
+Vocabulary vocabulary_under_test() {
+  const char* other = std::getenv("FASTLOOP_TEST_VOCABULARY");
+  return other ? Vocabulary(load_any_vocabulary(other)) : default_vocabulary();
+}
+
+struct View {
+  Nanoseconds stamp_ns;
+  SE3 T_world_camera;
+  std::vector<Descriptor> descriptors;
+};
+
+/// Poses "stamp_ns x y z qw qx qy qz" with blanks or commas.
+std::map<Nanoseconds, SE3> read_poses(const fs::path& file) {
+  std::ifstream in(file);
+  std::map<Nanoseconds, SE3> poses;
+  for (std::string line; std::getline(in, line);) {
+    if (line.empty() || line[0] == '#') continue;
+    std::replace(line.begin(), line.end(), ',', ' ');
+    std::istringstream row(line);
+    double stamp, x, y, z, qw, qx, qy, qz;
+    if (row >> stamp >> x >> y >> z >> qw >> qx >> qy >> qz)
+      poses.emplace(static_cast<Nanoseconds>(stamp),
+                    SE3(Eigen::Quaterniond(qw, qx, qy, qz), Vector3d(x, y, z)));
+  }
+  return poses;
+}
+
+std::vector<View> read_views(const fs::path& folder) {
+  const auto poses = read_poses(folder / "V101_GT_left_cam.txt");
+  std::vector<View> views;
+  OrbOptions options;
+  options.num_features = 1200;
+  OrbExtractor extractor(options);
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::directory_iterator(folder / "mav0/cam0/data"))
+    files.push_back(entry.path());
+  std::sort(files.begin(), files.end());
+  for (const fs::path& file : files) {
+    const std::string stem = file.stem().string();
+    Nanoseconds stamp = 0;
+    std::from_chars(stem.data(), stem.data() + stem.size(), stamp);
+    auto pose = poses.lower_bound(stamp);
+    if (pose != poses.begin() &&
+        (pose == poses.end() || stamp - std::prev(pose)->first < pose->first - stamp))
+      --pose;
+    if (std::abs(pose->first - stamp) > 30'000'000) continue;  // no ground truth there
+    const cv::Mat read = cv::imread(file.string(), cv::IMREAD_GRAYSCALE);
+    ImageU8 image(read.cols, read.rows);
+    for (int y = 0; y < read.rows; ++y) std::copy_n(read.ptr(y), read.cols, image.row(y));
+    views.push_back({stamp, pose->second, extractor.extract(image).descriptors});
+  }
+  return views;
+}
+
+bool apart(const View& a, const View& b) {
+  return std::abs(a.stamp_ns - b.stamp_ns) > 10'000'000'000;
+}
+
+bool revisit(const View& a, const View& b) {
+  return apart(a, b) &&
+         (a.T_world_camera.translation - b.T_world_camera.translation).norm() <= 1.0 &&
+         angle_between(a.T_world_camera, b.T_world_camera) <= 20 * M_PI / 180;
+}
+
+TEST(PlaceRecall, RevisitsOfV101AreAmongTheFirstThreeCandidates) {
+  const fs::path folder = data_folder();
+  if (!fs::exists(folder)) GTEST_SKIP() << folder << " is absent";
+  const std::vector<View> views = read_views(folder);
+  ASSERT_GT(views.size(), 90u);
+  const Vocabulary vocabulary = vocabulary_under_test();
+  InvertedIndex index(vocabulary.num_words());
+  std::vector<BowVector> bows;
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    bows.push_back(vocabulary.transform(views[i].descriptors).vector);
+    index.insert(KeyframeId(static_cast<std::uint32_t>(i)), bows.back());
+  }
+
+  int queries = 0, first = 0, in_three = 0;
+  double shared = 0, unrelated = 0;
+  for (std::uint32_t i = 0; i < views.size(); ++i) {
+    std::vector<KeyframeId> near;
+    int revisits = 0;
+    for (std::uint32_t k = 0; k < views.size(); ++k) {
+      if (!apart(views[i], views[k])) near.emplace_back(k);
+      revisits += revisit(views[i], views[k]);
+      if ((views[i].T_world_camera.translation - views[k].T_world_camera.translation).norm() < 2)
+        continue;
+      std::vector<std::uint32_t> common;
+      std::set_intersection(bows[i].word.begin(), bows[i].word.end(), bows[k].word.begin(),
+                            bows[k].word.end(), std::back_inserter(common));
+      shared += static_cast<double>(common.size()) / static_cast<double>(bows[i].size());
+      ++unrelated;
+    }
+    if (revisits == 0) continue;
+    ++queries;
+    const auto found =
+        index.query(bows[i], near, [](KeyframeId) { return std::vector<KeyframeId>(); });
+    for (std::size_t c = 0; c < found.size() && c < 3; ++c)
+      if (revisit(views[i], views[found[c].keyframe.value()])) {
+        first += c == 0;
+        ++in_three;
+        break;
+      }
+  }
+  std::printf(
+      "words %zu; queries with a revisit %d; in the first 1: %d, in the first 3: %d (%.0f %%); "
+      "words shared "
+      "by images more than 2 m apart: %.1f %%\n",
+      vocabulary.num_words(), queries, first, in_three, 100.0 * in_three / queries,
+      100 * shared / unrelated);
+  EXPECT_GT(queries, 10);
+  EXPECT_GE(in_three, 0.8 * queries);
+}
+
+}  // namespace
+}  // namespace fastloop::place
