@@ -108,9 +108,8 @@ Matrix7d lift_information(const Matrix7d& planar) {
   Matrix7d m = Matrix7d::Zero();
   m.topLeftCorner<2, 2>() = planar.topLeftCorner<2, 2>();
   m(2, 2) = std::max(planar(0, 0), planar(1, 1));
-  // g2o's spatial residual is half the rotation angle, its planar one the whole.
-  m(3, 3) = m(4, 4) = m(5, 5) = 4 * planar(2, 2);
-  for (int i = 0; i < 2; ++i) m(i, 5) = m(5, i) = 2 * planar(i, 2);
+  m(3, 3) = m(4, 4) = m(5, 5) = planar(2, 2);
+  for (int i = 0; i < 2; ++i) m(i, 5) = m(5, i) = planar(i, 2);
   return m;
 }
 
@@ -167,21 +166,21 @@ void read_line(Line line, int number, RawGraph& graph) {
   if (!line.at_end()) line.fail("line", "more numbers than expected");
 }
 
-/// From g2o's order and residual to ours: rotation first, and the whole rotation vector where the residual is a
-/// logarithm.
-PoseGraphInformation convert_information(const RawEdge& e, PoseGraphKind kind) {
+/// From the file's order and residual to ours: rotation first, and half the rotation vector for kSe3, whose residual
+/// is the vector part of the quaternion.
+PoseGraphInformation convert_information(const RawEdge& e, PoseGraphKind kind, G2oInformation meaning) {
   const int order[7] = {3, 4, 5, 0, 1, 2, 6};
   PoseGraphInformation m;
   for (int r = 0; r < 7; ++r)
     for (int c = 0; c < 7; ++c) m(r, c) = e.information(order[r], order[c]);
-  const bool file_has_log = e.family == Family::kSim3 || e.family == Family::kSim3Expmap;
-  const bool want_log = kind != PoseGraphKind::kSe3;
-  const double factor = file_has_log == want_log ? 1.0 : want_log ? 0.5 : 2.0;
+  const bool file_has_vector = e.family != Family::kSe3 || meaning == G2oInformation::kRotationVector;
+  const bool want_vector = kind != PoseGraphKind::kSe3;
+  const double factor = file_has_vector == want_vector ? 1.0 : want_vector ? 0.5 : 2.0;
   m.topRows<3>() *= factor;
   m.leftCols<3>() *= factor;
-  if (kind == PoseGraphKind::kSim3 && !file_has_log) m(6, 6) = m.diagonal().head<3>().mean();
+  if (kind == PoseGraphKind::kSim3 && (e.family == Family::kSe2 || e.family == Family::kSe3)) m(6, 6) = m.diagonal().head<3>().mean();
   if (kind == PoseGraphKind::kYaw) {
-    // The 4-DoF translation residual is not turned by the measured rotation, g2o's is.
+    // The 4-DoF residual is not turned by the measured rotation, the others are.
     Matrix7d turn = Matrix7d::Identity();
     turn.block<3, 3>(3, 3) = e.measurement.rotation.toRotationMatrix();
     turn.block<3, 3>(0, 0) = turn.block<3, 3>(3, 3);
@@ -204,7 +203,8 @@ PoseGraphKind choose_kind(const RawGraph& raw, std::optional<int> dof) {
 
 }  // namespace
 
-G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name, std::optional<int> dof) {
+G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name, std::optional<int> dof,
+                   G2oInformation meaning) {
   RawGraph raw;
   int number = 0;
   while (!text.empty()) {
@@ -243,7 +243,7 @@ G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name, std
     edge.to = index_of(e.to, e.line);
     edge.T_from_to =
         problem.kind == PoseGraphKind::kSim3 ? e.measurement : Sim3(e.measurement.rigid());
-    const PoseGraphInformation information = convert_information(e, problem.kind);
+    const PoseGraphInformation information = convert_information(e, problem.kind, meaning);
     if (problem.information.empty() || problem.information.back() != information)
       problem.information.push_back(information);
     edge.information = static_cast<int>(problem.information.size()) - 1;
@@ -254,11 +254,11 @@ G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name, std
   return graph;
 }
 
-G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof) {
-  return parse_g2o(read_text_file(path), path, dof);
+G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof, G2oInformation meaning) {
+  return parse_g2o(read_text_file(path), path, dof, meaning);
 }
 
-void write_g2o(const std::filesystem::path& path, const G2oGraph& graph) {
+void write_g2o(const std::filesystem::path& path, const G2oGraph& graph, G2oInformation meaning) {
   const PoseGraphProblem& problem = graph.problem;
   const bool sim3 = problem.kind == PoseGraphKind::kSim3;
   const char* family = sim3 ? "SIM3:QUAT" : "SE3:QUAT";
@@ -287,16 +287,18 @@ void write_g2o(const std::filesystem::path& path, const G2oGraph& graph) {
     text += std::string("EDGE_") + family + " " + std::to_string(graph.ids.at(e.from)) + " " +
             std::to_string(graph.ids.at(e.to));
     put_pose(e.T_from_to);
-    // Back to g2o's residual: half the rotation vector, in the frame turned by the measurement.
     PoseGraphInformation m = problem.information.at(e.information);
     if (problem.kind == PoseGraphKind::kYaw) {
       Matrix7d turn = Matrix7d::Identity();
       turn.block<3, 3>(3, 3) = e.T_from_to.rotation.toRotationMatrix();
       turn.block<3, 3>(0, 0) = turn.block<3, 3>(3, 3);
       m = turn.transpose() * m * turn;
-      m.topRows<3>() *= 2;
-      m.leftCols<3>() *= 2;
     }
+    const bool have_vector = problem.kind != PoseGraphKind::kSe3;
+    const bool want_vector = sim3 || meaning == G2oInformation::kRotationVector;
+    const double factor = have_vector == want_vector ? 1.0 : want_vector ? 0.5 : 2.0;
+    m.topRows<3>() *= factor;
+    m.leftCols<3>() *= factor;
     const int size = sim3 ? 7 : 6;
     for (int r = 0; r < size; ++r)
       for (int c = r; c < size; ++c) put(m(order[r], order[c]));

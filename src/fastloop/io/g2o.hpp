@@ -10,6 +10,12 @@
 
 namespace fastloop::io {
 
+/// What the rotation part of the information in EDGE_SE3:QUAT lines weights. The files say nothing, programs differ:
+enum class G2oInformation : int {
+  kRotationVector,  ///< the rotation vector, as SE-Sync, GTSAM and the example of Ceres read them
+  kQuaternion,      ///< the vector part of the quaternion, half of that, as g2o itself does
+};
+
 /// A pose graph as a g2o file holds it.
 struct G2oGraph {
   optimization::PoseGraphProblem problem;
@@ -28,14 +34,17 @@ struct G2oGraph {
 ///
 /// `dof` is 4, 6 or 7; without it 7 for files with SIM3, 4 for files with SE2 only (there it is exactly the planar
 /// problem: nothing moves out of the plane), 6 otherwise. Information is converted so that the quadratic form of
-/// small residuals stays the same: g2o weights half the rotation vector.
+/// small residuals stays the same whatever the kind of problem.
 /// @throws InputError with the line for anything that cannot be read, for edges to vertices that are not in the file,
 ///         and for numbers that are not finite
-G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof = std::nullopt);
+G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof = std::nullopt,
+                  G2oInformation information = G2oInformation::kRotationVector);
 G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name,
-                   std::optional<int> dof = std::nullopt);
+                   std::optional<int> dof = std::nullopt,
+                   G2oInformation information = G2oInformation::kRotationVector);
 
 /// Writes SE3:QUAT (kYaw, kSe3) or SIM3:QUAT (kSim3) lines with 17 significant digits.
-void write_g2o(const std::filesystem::path& path, const G2oGraph& graph);
+void write_g2o(const std::filesystem::path& path, const G2oGraph& graph,
+               G2oInformation information = G2oInformation::kRotationVector);
 
 }  // namespace fastloop::io

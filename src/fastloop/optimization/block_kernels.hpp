@@ -98,7 +98,7 @@ struct ModelKernels {
   double (*backward)(const FrontView&, double* x) = nullptr;
   /// Sum of rho(squared residual) over a range of batches, in order; per slot squared residuals when not null.
   double (*cost)(const PassContext&, std::size_t batch_begin, std::size_t batch_end, double* squared) = nullptr;
-  /// Linearises one batch (tests).
+  /// Linearises one batch (tests, measurements).
   void (*linearize)(const PassContext&, BatchCursor&, std::ptrdiff_t batch) = nullptr;
 };
 

@@ -41,6 +41,8 @@ class PoseGraphPlan::Impl {
   void iterate(const PoseGraphOptions& options, PoseGraphResult& result);
   double evaluate_cost(const double* poses, double* squared);
   bool factor(double lambda);
+  /// Time of linearising all edges once more, for the split of the times.
+  double measure_linearization();
   void forward();
   /// Solves for the step; returns the squared norm of L^-1 b.
   double backward();

@@ -78,6 +78,9 @@ struct PoseGraphOptions {
   /// After convergence switchable edges with a squared residual above this are taken out and the rest is solved
   /// again, without the robust kernel. Infinity: no rejection.
   double rejection_gate = std::numeric_limits<double>::infinity();
+  /// Block only: linearise once more, on the clock, so that linearize_ms and factor_ms can be told apart. Otherwise
+  /// fronts linearise their edges as they go, which is faster, and factor_ms contains both.
+  bool split_times = false;
   /// Ceres and reference only: end as soon as the cost is at most this. For measurements to equal accuracy.
   double target_cost = -std::numeric_limits<double>::infinity();
   /// Ceres only.
