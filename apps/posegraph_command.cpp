@@ -15,7 +15,7 @@ namespace {
 using namespace fastloop::optimization;
 
 struct PoseGraphArguments {
-  std::string file, out, solver = "block", information = "angle", kernel = "none";
+  std::string file, out, solver = "block", information = "g2o", kernel = "none";
   std::optional<int> dof;
   bool json = false, fixed_scale = false;
   double rejection_gate = 0;
@@ -76,8 +76,9 @@ void print_text(const PoseGraphArguments& a, const io::G2oGraph& graph, const Po
 }
 
 int run(PoseGraphArguments& a) {
-  const io::G2oInformation information =
-      a.information == "g2o" ? io::G2oInformation::kQuaternion : io::G2oInformation::kRotationVector;
+  const io::G2oInformation information = a.information == "g2o"     ? io::G2oInformation::kQuaternion
+                                         : a.information == "angle" ? io::G2oInformation::kRotationVector
+                                                                    : io::G2oInformation::kIsotropic;
   io::G2oGraph graph = io::read_g2o(a.file, a.dof, information);
   graph.problem.fixed_scale = a.fixed_scale;
   a.options.solver = solver_named(a.solver);
@@ -108,9 +109,9 @@ void add_posegraph_command(CLI::App& app, int& exit_code) {
       ->check(CLI::IsMember({4, 6, 7}));
   command->add_flag("--fixed-scale", a->fixed_scale, "With --dof 7: keep the scale of every vertex");
   command->add_option("--information", a->information,
-                      "What the rotation weights of SE3:QUAT edges refer to: angle (the rotation vector, as SE-Sync "
-                      "and GTSAM read them) or g2o (half of it)")
-      ->check(CLI::IsMember({"angle", "g2o"}))
+                      "How the information of SE3:QUAT edges is read: g2o (weights half the rotation vector), angle "
+                      "(the rotation vector, as GTSAM) or sesync (isotropic means, as SE-Sync)")
+      ->check(CLI::IsMember({"g2o", "angle", "sesync"}))
       ->capture_default_str();
   command->add_option("--threads", a->options.threads, "Threads; the result does not depend on it")
       ->capture_default_str();

@@ -1,5 +1,6 @@
 #include "fastloop/io/g2o.hpp"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <charconv>
 #include <cmath>
@@ -166,6 +167,11 @@ void read_line(Line line, int number, RawGraph& graph) {
   if (!line.at_end()) line.fail("line", "more numbers than expected");
 }
 
+double harmonic_mean(const Matrix3d& m) {
+  const double trace = m.inverse().trace();
+  return trace > 0 && std::isfinite(trace) ? 3 / trace : 0;
+}
+
 /// From the file's order and residual to ours: rotation first, and half the rotation vector for kSe3, whose residual
 /// is the vector part of the quaternion.
 PoseGraphInformation convert_information(const RawEdge& e, PoseGraphKind kind, G2oInformation meaning) {
@@ -173,7 +179,14 @@ PoseGraphInformation convert_information(const RawEdge& e, PoseGraphKind kind, G
   PoseGraphInformation m;
   for (int r = 0; r < 7; ++r)
     for (int c = 0; c < 7; ++c) m(r, c) = e.information(order[r], order[c]);
-  const bool file_has_vector = e.family != Family::kSe3 || meaning == G2oInformation::kRotationVector;
+  if (meaning == G2oInformation::kIsotropic && e.family == Family::kSe3) {
+    const double rotation = harmonic_mean(m.topLeftCorner<3, 3>());
+    const double translation = harmonic_mean(m.block<3, 3>(3, 3));
+    m.setZero();
+    m.diagonal().head<3>().setConstant(rotation);
+    m.diagonal().segment<3>(3).setConstant(translation);
+  }
+  const bool file_has_vector = e.family != Family::kSe3 || meaning != G2oInformation::kQuaternion;
   const bool want_vector = kind != PoseGraphKind::kSe3;
   const double factor = file_has_vector == want_vector ? 1.0 : want_vector ? 0.5 : 2.0;
   m.topRows<3>() *= factor;
@@ -295,7 +308,7 @@ void write_g2o(const std::filesystem::path& path, const G2oGraph& graph, G2oInfo
       m = turn.transpose() * m * turn;
     }
     const bool have_vector = problem.kind != PoseGraphKind::kSe3;
-    const bool want_vector = sim3 || meaning == G2oInformation::kRotationVector;
+    const bool want_vector = sim3 || meaning != G2oInformation::kQuaternion;
     const double factor = have_vector == want_vector ? 1.0 : want_vector ? 0.5 : 2.0;
     m.topRows<3>() *= factor;
     m.leftCols<3>() *= factor;

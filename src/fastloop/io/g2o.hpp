@@ -10,10 +10,12 @@
 
 namespace fastloop::io {
 
-/// What the rotation part of the information in EDGE_SE3:QUAT lines weights. The files say nothing, programs differ:
+/// How the information in EDGE_SE3:QUAT lines is read; programs differ.
 enum class G2oInformation : int {
-  kRotationVector,  ///< the rotation vector, as SE-Sync, GTSAM and the example of Ceres read them
-  kQuaternion,      ///< the vector part of the quaternion, half of that, as g2o itself does
+  kQuaternion,      ///< weights the vector part of the quaternion, half the rotation vector: as g2o does
+  kRotationVector,  ///< weights the rotation vector, as GTSAM and the example of Ceres do
+  kIsotropic,       ///< weights the rotation vector and translation by the harmonic mean of the eigenvalues: the
+                    ///< problem that SE-Sync solves; half its chordal objective is then the cost
 };
 
 /// A pose graph as a g2o file holds it.
@@ -38,13 +40,13 @@ struct G2oGraph {
 /// @throws InputError with the line for anything that cannot be read, for edges to vertices that are not in the file,
 ///         and for numbers that are not finite
 G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof = std::nullopt,
-                  G2oInformation information = G2oInformation::kRotationVector);
+                  G2oInformation information = G2oInformation::kQuaternion);
 G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name,
                    std::optional<int> dof = std::nullopt,
-                   G2oInformation information = G2oInformation::kRotationVector);
+                   G2oInformation information = G2oInformation::kQuaternion);
 
 /// Writes SE3:QUAT (kYaw, kSe3) or SIM3:QUAT (kSim3) lines with 17 significant digits.
 void write_g2o(const std::filesystem::path& path, const G2oGraph& graph,
-               G2oInformation information = G2oInformation::kRotationVector);
+               G2oInformation information = G2oInformation::kQuaternion);
 
 }  // namespace fastloop::io

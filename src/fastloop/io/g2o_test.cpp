@@ -32,7 +32,7 @@ TEST(G2o, ReadsSe3WithIdsInAnyOrder) {
   const std::string text = std::string("# two vertices\n") + "VERTEX_SE3:QUAT 9 4 5 6 0 0 0.6 0.8\r\n" +
                            "VERTEX_SE3:QUAT 2 1 2 3 0 0 0 2\n\nFIX 9\n" +
                            "EDGE_SE3:QUAT 9 2 1 0 0 0 0 0 1 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21\n";
-  const G2oGraph g = parse_g2o(text, "graph.g2o", std::nullopt, G2oInformation::kQuaternion);
+  const G2oGraph g = parse_g2o(text, "graph.g2o");
   EXPECT_EQ(g.problem.kind, PoseGraphKind::kSe3);
   ASSERT_EQ(g.ids, (std::vector<std::int64_t>{2, 9}));
   EXPECT_EQ(g.problem.poses[0].translation, Vector3d(1, 2, 3));
@@ -51,7 +51,7 @@ TEST(G2o, ReadsSe3WithIdsInAnyOrder) {
   EXPECT_EQ(w(5, 2), 15);
   EXPECT_EQ(w, w.transpose());
   // Read as weights of the rotation vector, twice the residual, they count four times.
-  const G2oGraph v = parse_g2o(text, "graph.g2o");
+  const G2oGraph v = parse_g2o(text, "graph.g2o", std::nullopt, G2oInformation::kRotationVector);
   const auto& x = v.problem.information[v.problem.edges[0].information];
   EXPECT_EQ(x(0, 0), 64);
   EXPECT_EQ(x(3, 0), 8);
