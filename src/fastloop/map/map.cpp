@@ -50,6 +50,7 @@ KeyframeId Map::add_keyframe(MapId map_id, std::shared_ptr<const KeyframeData> d
 }
 
 void Map::remove_keyframe(KeyframeId id) {
+  if (!contains(id)) throw InvalidArgument("there is no live keyframe of this id to remove");
   const MapInfo& info = map_info(keyframe(id).map);
   if (id == info.first_keyframe || id == info.last_keyframe)
     throw InvalidArgument("the first and the last keyframe of a map cannot be removed");
@@ -116,6 +117,7 @@ LandmarkId Map::add_landmark(KeyframeId keyframe_id, std::uint32_t keypoint, con
 }
 
 void Map::remove_landmark(LandmarkId id) {
+  if (!contains(id)) return;
   const std::vector<Observation> observations = landmark(id).observations;
   for (const Observation& o : observations) {
     keyframes_.mutate(o.keyframe.value()).landmarks[o.keypoint] = LandmarkId{};
@@ -131,7 +133,7 @@ void Map::remove_landmark(LandmarkId id) {
 }
 
 bool Map::add_observation(LandmarkId id, KeyframeId keyframe_id, std::uint32_t keypoint) {
-  if (keyframe(keyframe_id).landmarks[keypoint].valid()) return false;
+  if (!contains(id) || !contains(keyframe_id) || keyframe(keyframe_id).landmarks[keypoint].valid()) return false;
   const auto& present = landmark(id).observations;
   const auto at = lower_bound_keyframe(present, keyframe_id);
   if (at != present.end() && at->keyframe == keyframe_id) return false;
@@ -168,7 +170,7 @@ void Map::remove_observation(LandmarkId id, KeyframeId keyframe_id, int min_obse
 }
 
 void Map::replace_landmark(LandmarkId loser, LandmarkId winner) {
-  if (loser == winner) return;
+  if (loser == winner || !contains(loser) || !contains(winner)) return;
   const std::vector<Observation> observations = landmark(loser).observations;
   const std::uint32_t visible = landmark(loser).visible, found = landmark(loser).found;
   remove_landmark(loser);
@@ -277,56 +279,6 @@ void Map::change_shared(KeyframeId a, KeyframeId b, int change) {
   };
   apply(a, b);
   apply(b, a);
-}
-
-std::optional<std::string> Map::find_inconsistency() const {
-  const auto name = [](auto id) { return std::to_string(id.value()); };
-  std::vector<std::vector<int>> shared(keyframes_.size());
-  std::size_t live_landmarks = 0, live_keyframes = 0;
-  for (auto& row : shared) row.assign(keyframes_.size(), 0);
-  for (std::size_t i = 0; i < landmarks_.size(); ++i) {
-    const LandmarkId id(static_cast<std::uint32_t>(i));
-    const Landmark& l = landmarks_[i];
-    if (l.removed()) continue;
-    ++live_landmarks;
-    bool anchor_observes = false;
-    if (l.observations.empty()) return "landmark " + name(id) + " has no observation";
-    for (const Observation& o : l.observations) {
-      if (!contains(o.keyframe)) return "landmark " + name(id) + " is seen by removed keyframe " + name(o.keyframe);
-      if (keyframe(o.keyframe).landmarks[o.keypoint] != id)
-        return "keyframe " + name(o.keyframe) + " does not know landmark " + name(id);
-      anchor_observes |= o.keyframe == l.anchor;
-      for (const Observation& other : l.observations)
-        if (o.keyframe != other.keyframe) ++shared[o.keyframe.value()][other.keyframe.value()];
-    }
-    if (!anchor_observes) return "anchor of landmark " + name(id) + " does not observe it";
-    if (!p_world(id).allFinite()) return "landmark " + name(id) + " is not finite";
-  }
-  for (std::size_t i = 0; i < keyframes_.size(); ++i) {
-    const KeyframeId id(static_cast<std::uint32_t>(i));
-    const Keyframe& k = keyframes_[i];
-    if (k.removed) continue;
-    ++live_keyframes;
-    for (std::size_t p = 0; p < k.landmarks.size(); ++p) {
-      const LandmarkId l = k.landmarks[p];
-      if (!l.valid()) continue;
-      if (!contains(l)) return "keyframe " + name(id) + " sees removed landmark " + name(l);
-      const auto it = lower_bound_keyframe(landmark(l).observations, id);
-      if (it == landmark(l).observations.end() || it->keyframe != id || it->keypoint != p)
-        return "landmark " + name(l) + " does not know keyframe " + name(id);
-    }
-    for (const CovisibilityEdge& e : covisible(id))
-      if (shared[i][e.keyframe.value()] != e.shared)
-        return "covisibility of " + name(id) + " and " + name(e.keyframe) + " is not the number of shared landmarks";
-    std::size_t edges = 0;
-    for (const int s : shared[i]) edges += s > 0;
-    if (edges != covisible(id).size()) return "covisibility list of keyframe " + name(id) + " is incomplete";
-    if (id != map_info(k.map).first_keyframe && (!contains(k.parent) || k.parent >= id))
-      return "keyframe " + name(id) + " has no live older parent";
-    if (k.previous.valid() && keyframe(k.previous).next != id) return "temporal links of " + name(id) + " are broken";
-  }
-  if (live_landmarks != num_landmarks_ || live_keyframes != num_keyframes_) return "entity counts are wrong";
-  return std::nullopt;
 }
 
 }  // namespace fastloop::map

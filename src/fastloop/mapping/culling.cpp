@@ -26,7 +26,8 @@ double redundant_share(const map::Map& map, KeyframeId id, float close_depth_m) 
     }
     redundant += observers >= kRedundantObservers;
   }
-  return considered == 0 ? 1.0 : static_cast<double>(redundant) / considered;
+  // A keyframe of which nothing can be judged stays.
+  return considered == 0 ? 0.0 : static_cast<double>(redundant) / considered;
 }
 
 bool gap_allows_removal(const map::Map& map, KeyframeId id, const MappingOptions& options) {

@@ -36,6 +36,8 @@ TrackResult Tracker::track(const Input& input, const std::shared_ptr<const map::
   begin_frame(input);
   if (state_ == State::kInitialising || state_ == State::kLost) return initialise(input);
 
+  if (last_->reference.value() >= snapshot_->keyframe_slots())
+    throw InvalidArgument("the first keyframe of a map must be in the snapshot before the next frame is tracked");
   follow_map_changes();
   predict();
   const bool searched = search_in_last_frame();
@@ -59,6 +61,7 @@ void Tracker::begin_frame(const Input& input) {
   frame_.features = input.features;
   frame_.landmarks.assign(input.features->size(), LandmarkId{});
   stereo_matches_.clear();
+  relocalised_inertially_ = false;
   inliers_ = 0;
   if (options_.use_imu && input.imu) append_imu(*input.imu);
 }
@@ -78,7 +81,8 @@ std::shared_ptr<const PreintegratedImu> Tracker::preintegrate(Nanoseconds begin_
                                [](const ImuSample& s, Nanoseconds t) { return s.stamp_ns < t; });
   if (last != imu_.end()) ++last;
   const std::vector<ImuSample> samples(first, last);
-  if (samples.empty() || end_ns <= begin_ns) return nullptr;
+  // Without a measurement after the beginning there is only a stale one to go by.
+  if (samples.empty() || samples.back().stamp_ns <= begin_ns || end_ns <= begin_ns) return nullptr;
   return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, bias, *imu_calibration_);
 }
 
@@ -97,6 +101,7 @@ TrackResult Tracker::initialise(const Input& input) {
   for (std::size_t i = 0; i < frame_.features->size(); ++i) with_depth += frame_.features->has_depth(i);
   if (with_depth < options_.min_initial_depth_points) {
     state_ = State::kInitialising;
+    imu_.clear();  // nothing starts here; the next frame brings the samples around this one again
     result.state = state_;
     result.reason = "only " + std::to_string(with_depth) + " keypoints with depth, " +
                     std::to_string(options_.min_initial_depth_points) + " needed";
@@ -104,7 +109,8 @@ TrackResult Tracker::initialise(const Input& input) {
   }
   frame_.state.T_world_body = level_pose(input);
   map_ = MapId(maps_started_++);
-  next_keyframe_ = static_cast<std::uint32_t>(snapshot_->keyframe_slots());
+  // Requests still waiting to be mapped have taken slots that the snapshot does not show yet.
+  next_keyframe_ = std::max(next_keyframe_, static_cast<std::uint32_t>(snapshot_->keyframe_slots()));
   motion_s_ = 0;
   prior_.reset();
   velocity_known_ = false;
@@ -328,6 +334,10 @@ bool Tracker::relocalise() {
   const int needed = imu_ready() ? options_.min_inliers_inertial : options_.min_inliers;
   auto found = relocalizer_.relocalise(*snapshot_, *frame_.features, map_, last_->reference, needed);
   if (!found) return false;
+  // Velocity and bias: what the IMU predicted, not what a rejected fit left behind.
+  relocalised_inertially_ = imu_ready() && imu_factor_;
+  if (relocalised_inertially_) frame_.state = imu_factor_->predict(previous_state_);
+  stereo_matches_.clear();
   frame_.state.T_world_body = found->T_world_body;
   frame_.landmarks = std::move(found->landmarks);
   // The jump makes the IMU factor from the last frame meaningless: start again from vision.
@@ -344,8 +354,9 @@ void Tracker::finish_tracked(const Input& input, TrackResult& result) {
   frame_.T_reference_body = snapshot_->T_world_body(frame_.reference).inverse() * frame_.state.T_world_body;
   const double dt = to_seconds(frame_.stamp_ns - last_->stamp_ns);
   motion_ = last_->state.T_world_body.inverse() * frame_.state.T_world_body;
-  motion_s_ = dt;
-  if (!(imu_ready() && imu_factor_))
+  motion_s_ = relocalised_inertially_ ? 0 : dt;
+  // From the dead-reckoned last pose to a relocalised one is a jump, no motion.
+  if (!relocalised_inertially_ && !(imu_ready() && imu_factor_))
     frame_.state.v_world = (frame_.state.T_world_body.translation - last_->state.T_world_body.translation) / dt;
   result.has_pose = true;
   result.T_world_body = frame_.state.T_world_body;
@@ -366,7 +377,7 @@ void Tracker::finish_lost(TrackResult& result) {
     result.reason = "only " + std::to_string(inliers_) + " landmarks agree with the pose";
   }
   const bool inertial = imu_ready() && imu_factor_;
-  const double patience = inertial ? options_.recently_lost_inertial_s : options_.recently_lost_s;
+  const double patience = imu_ready() ? options_.recently_lost_inertial_s : options_.recently_lost_s;
   motion_s_ = 0;
   if (inertial) {
     // Dead reckoning keeps the prediction alive for the next frames.
@@ -376,7 +387,9 @@ void Tracker::finish_lost(TrackResult& result) {
     last_->features = frame_.features;
     last_->landmarks.assign(frame_.features->size(), LandmarkId{});
     last_->T_reference_body = snapshot_->T_world_body(last_->reference).inverse() * frame_.state.T_world_body;
+    // The next fit must not hold this state fixed: it starts at the newest keyframe, with the drift since then.
     prior_.reset();
+    velocity_known_ = false;
     result.has_pose = true;
     result.T_world_body = frame_.state.T_world_body;
     result.reference = last_->reference;

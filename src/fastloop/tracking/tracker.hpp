@@ -18,7 +18,8 @@ namespace fastloop::tracking {
 /// search in the local map, pose-only optimisation, decision on keyframes, relocalisation when lost.
 ///
 /// Synchronous; one thread at a time. Reads snapshots only; what should enter the map leaves as a
-/// KeyframeRequest. Deterministic for the same sequence of frames and snapshots.
+/// KeyframeRequest. Snapshots may lag behind the requests, except that the first keyframe of a map must be in
+/// the snapshot of the next frame (InvalidArgument). Deterministic for the same sequence of frames and snapshots.
 class Tracker {
  public:
   /// @param imu    noise of the IMU; needed when options.use_imu
@@ -84,6 +85,7 @@ class Tracker {
   std::deque<ImuSample> imu_;        ///< since the newest keyframe in use
   bool from_keyframe_ = false;       ///< this frame's IMU factor starts at a keyframe instead of the last frame
   bool velocity_known_ = false;
+  bool relocalised_inertially_ = false;  ///< this frame, after dead reckoning
   NavState previous_state_;          ///< start of the IMU factor
   std::shared_ptr<const PreintegratedImu> imu_factor_;
   std::optional<optimization::NavPrior> prior_;  ///< on the last frame
