@@ -15,7 +15,7 @@ const char* to_string(State state);
 
 struct TrackingOptions {
   bool use_imu = false;
-  double imu_noise_factor = 10;         ///< on the white noise densities of the calibration: vibration, scale errors
+  double imu_noise_factor = 20;         ///< on the white noise densities of the calibration: vibration, scale errors
   int min_initial_depth_points = 100;   ///< keypoints with depth needed to start a map
   int min_inliers = 30;                 ///< landmarks that must agree with a visual pose
   int min_inliers_inertial = 15;        ///< the same with an initialised IMU
