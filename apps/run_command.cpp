@@ -101,7 +101,7 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
   facts.frames_available = end - begin;
   Progress progress(end - begin, args.quiet);
   Prefetcher prefetcher(dataset, begin, end);
-  std::vector<ImuSample> pending_imu;
+  std::size_t fed = begin;  ///< index of the last frame that was processed
   const auto start = std::chrono::steady_clock::now();
   while (auto item = prefetcher.next()) {
     if (interrupted) break;
@@ -112,14 +112,13 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
       std::this_thread::sleep_until(due);
       if (std::chrono::steady_clock::now() > due + period && item->index > begin) {
         ++facts.frames_dropped;
-        pending_imu.insert(pending_imu.end(), item->frame.imu.begin(), item->frame.imu.end());
         continue;
       }
     }
-    if (!pending_imu.empty()) {
-      item->frame.imu.insert(item->frame.imu.begin(), pending_imu.begin(), pending_imu.end());
-      pending_imu.clear();
-    }
+    // Measurements belong to the time since the last processed frame; before the first one nothing is known.
+    if (item->index == begin || item->index > fed + 1)
+      item->frame.imu = dataset.imu_between(dataset.stamp_ns(fed), item->frame.stamp_ns);
+    fed = item->index;
     system.process(item->frame);
     progress.update(system, false);
   }

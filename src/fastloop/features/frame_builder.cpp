@@ -52,11 +52,15 @@ StereoRig general_rig(const CameraCalibration& left, const CameraCalibration& ri
   return rig;
 }
 
-void require_size(int width, int height, const Camera& camera, const char* what) {
-  if (width == camera.width && height == camera.height) return;
-  throw InvalidArgument(std::string(what) + " image is " + std::to_string(width) + " x " +
-                        std::to_string(height) + ", the calibration says " +
-                        std::to_string(camera.width) + " x " + std::to_string(camera.height));
+template <class T>
+void require_size(const Image<T>& image, const Camera& camera, const char* what) {
+  const std::string size = std::to_string(image.width) + " x " + std::to_string(image.height);
+  if (image.width != camera.width || image.height != camera.height)
+    throw InvalidArgument(std::string(what) + " image is " + size + ", the calibration says " +
+                          std::to_string(camera.width) + " x " + std::to_string(camera.height));
+  if (image.pixels.size() != static_cast<std::size_t>(image.width) * image.height)
+    throw InvalidArgument(std::string(what) + " image of " + size + " holds " +
+                          std::to_string(image.pixels.size()) + " pixels");
 }
 
 /// Depth at a pixel: that of the nearest pixel where it is known, else the median of its known
@@ -122,11 +126,11 @@ FrameBuilder::Impl::Impl(const Calibration& calibration, const OrbOptions& optio
 }
 
 void FrameBuilder::Impl::check(const FrameInput& input) const {
-  require_size(input.left.width, input.left.height, rig.left, "left");
+  require_size(input.left, rig.left, "left");
   if (mode == Mode::kDepth)
-    require_size(input.depth.width, input.depth.height, rig.left, "depth");
+    require_size(input.depth, rig.left, "depth");
   else
-    require_size(input.right.width, input.right.height, rig.right, "right");
+    require_size(input.right, rig.right, "right");
 }
 
 void FrameBuilder::Impl::attach_depth(const ImageF32& image, FeatureSet& frame) const {

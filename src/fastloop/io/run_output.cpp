@@ -1,5 +1,6 @@
 #include "fastloop/io/run_output.hpp"
 
+#include <exception>
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>
@@ -19,6 +20,25 @@ void write_file(const std::filesystem::path& path, const std::string& content) {
   if (!out) throw InputError({path.string(), 0, ""}, "cannot be written completely", "enough space and permission");
 }
 
+/// Carries on after a file that could not be written, so that it does not take the others along.
+class Attempts {
+ public:
+  void run(const std::function<void()>& step) {
+    try {
+      step();
+    } catch (const InputError&) {
+      if (!failure_) failure_ = std::current_exception();
+    }
+  }
+  /// Throws the first failure, if there was one.
+  void finish() const {
+    if (failure_) std::rethrow_exception(failure_);
+  }
+
+ private:
+  std::exception_ptr failure_;
+};
+
 std::vector<StampedPose> collect(const system::System& system,
                                  const std::function<std::optional<SE3>(const system::FrameRecord&)>& pose_of) {
   std::vector<StampedPose> poses;
@@ -27,22 +47,26 @@ std::vector<StampedPose> collect(const system::System& system,
   return poses;
 }
 
-void write_trajectories(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts) {
+void write_trajectories(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts,
+                        Attempts& attempts) {
+  const auto write = [&](const char* name, const std::vector<StampedPose>& poses) {
+    attempts.run([&] { write_tum(folder / name, poses); });
+  };
   const auto final_pose = [&](const system::FrameRecord& f) { return system.T_world_body(f); };
-  write_tum(folder / "trajectory_body.txt", collect(system, final_pose));
-  write_tum(folder / "trajectory_cam0.txt", collect(system, [&](const auto& f) -> std::optional<SE3> {
-              const auto pose = final_pose(f);
-              return pose ? std::optional<SE3>(*pose * facts.T_body_cam0) : std::nullopt;
-            }));
-  write_tum(folder / "trajectory_live.txt", collect(system, [](const auto& f) -> std::optional<SE3> {
-              return f.has_pose ? std::optional<SE3>(f.live_T_world_body) : std::nullopt;
-            }));
+  write("trajectory_body.txt", collect(system, final_pose));
+  write("trajectory_cam0.txt", collect(system, [&](const auto& f) -> std::optional<SE3> {
+          const auto pose = final_pose(f);
+          return pose ? std::optional<SE3>(*pose * facts.T_body_cam0) : std::nullopt;
+        }));
+  write("trajectory_live.txt", collect(system, [](const auto& f) -> std::optional<SE3> {
+          return f.has_pose ? std::optional<SE3>(f.live_T_world_body) : std::nullopt;
+        }));
   const auto map = system.snapshot();
   std::vector<StampedPose> keyframes;
   for (std::uint32_t i = 0; i < map->keyframe_slots(); ++i)
     if (map->contains(KeyframeId(i)))
       keyframes.push_back({map->keyframe(KeyframeId(i)).data->stamp_ns, map->T_world_body(KeyframeId(i))});
-  write_tum(folder / "keyframes.txt", keyframes);
+  write("keyframes.txt", keyframes);
 }
 
 void write_map_ply(const std::filesystem::path& path, const map::Snapshot& map) {
@@ -150,11 +174,13 @@ void prepare_output_folder(const std::filesystem::path& folder) {
 }
 
 void write_run_output(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts) {
-  write_trajectories(folder, system, facts);
-  write_map_ply(folder / "map.ply", *system.snapshot());
-  write_events(folder / "events.jsonl", system);
-  write_timing(folder / "timing.json", system, facts);
-  write_summary(folder / "summary.json", system, facts);
+  Attempts attempts;
+  write_trajectories(folder, system, facts, attempts);
+  attempts.run([&] { write_map_ply(folder / "map.ply", *system.snapshot()); });
+  attempts.run([&] { write_events(folder / "events.jsonl", system); });
+  attempts.run([&] { write_timing(folder / "timing.json", system, facts); });
+  attempts.run([&] { write_summary(folder / "summary.json", system, facts); });
+  attempts.finish();
 }
 
 }  // namespace fastloop::io

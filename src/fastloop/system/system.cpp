@@ -1,5 +1,6 @@
 #include "fastloop/system/system.hpp"
 
+#include <algorithm>
 #include <mutex>
 
 #include "fastloop/core/error.hpp"
@@ -27,6 +28,8 @@ SystemOptions complete(SystemOptions options, Mode mode) {
   options.tracking.use_imu = options.mapping.use_imu = mode == Mode::kStereoInertial;
   return options;
 }
+
+bool is_finite(const ImuSample& s) { return s.gyro.allFinite() && s.accel.allFinite(); }
 
 const char* event_kind(tracking::State before, tracking::State after) {
   using tracking::State;
@@ -58,6 +61,7 @@ struct System::Impl {
   MappingWorker worker;
   tracking::State state = tracking::State::kInitialising;
   std::string initialising_reason;
+  bool finished = false;
 
   Impl(const Calibration& calibration, const SystemOptions& given)
       : options(complete(given, resolve_mode(given.mode, calibration))),
@@ -80,6 +84,15 @@ struct System::Impl {
     add_event({stamp_ns, kind, step.reason, {}});
   }
 
+  /// The samples of a frame that can be integrated; the rest is reported. `storage` holds them when some had to go.
+  const std::vector<ImuSample>* usable_imu(const FrameInput& input, std::vector<ImuSample>& storage) {
+    const auto bad = std::count_if(input.imu.begin(), input.imu.end(), [](const auto& i) { return !is_finite(i); });
+    if (bad == 0) return &input.imu;
+    add_event({input.stamp_ns, "imu_ignored", std::to_string(bad) + " IMU samples are not finite", {}});
+    std::copy_if(input.imu.begin(), input.imu.end(), std::back_inserter(storage), is_finite);
+    return &storage;
+  }
+
   void note_state(const FrameRecord& record, const std::string& reason) {
     // A waiting initialisation would repeat itself every frame: only a change of state or the first reason counts.
     const bool waiting = record.state == tracking::State::kInitialising && state == record.state;
@@ -100,6 +113,7 @@ System::~System() = default;
 
 const FrameRecord& System::process(const FrameInput& input) {
   Impl& s = *impl_;
+  if (s.finished) throw InvalidArgument("the run is finished: no more frames");
   if (!s.frames.empty() && input.stamp_ns <= s.frames.back().stamp_ns)
     throw InvalidArgument("frames must come in time order");
   const Stopwatch watch;
@@ -107,7 +121,8 @@ const FrameRecord& System::process(const FrameInput& input) {
   in.id = FrameId(static_cast<std::uint32_t>(s.frames.size()));
   in.stamp_ns = input.stamp_ns;
   in.features = std::make_shared<const FeatureSet>(s.builder.build(input, &s.times));
-  in.imu = &input.imu;
+  std::vector<ImuSample> finite_imu;
+  in.imu = s.usable_imu(input, finite_imu);
   in.mapping_idle = s.options.deterministic || s.worker.idle();
   tracking::TrackResult result = s.tracker.track(in, s.worker.snapshot());
 
@@ -131,7 +146,10 @@ const FrameRecord& System::process(const FrameInput& input) {
   return s.frames.back();
 }
 
-void System::finish() { impl_->worker.finish(); }
+void System::finish() {
+  impl_->finished = true;
+  impl_->worker.finish();
+}
 
 Mode System::mode() const { return impl_->options.mode; }
 std::shared_ptr<const map::Snapshot> System::snapshot() const { return impl_->worker.snapshot(); }

@@ -58,7 +58,9 @@ class System {
   System(const Calibration& calibration, const SystemOptions& options);
   ~System();
 
-  /// @throws InvalidArgument on unordered stamps or images of the wrong size
+  /// IMU samples that are not finite or not in time order are ignored.
+  /// @throws InvalidArgument on unordered stamps, images of the wrong size, or after `finish`; the frame is
+  ///         left out and the next one may follow
   const FrameRecord& process(const FrameInput& input);
   /// Waits until mapping has done all that was asked; the map does not change any more. Idempotent.
   void finish();
