@@ -94,7 +94,7 @@ void Map::relink_children(KeyframeId removed) {
     KeyframeId best = grandparent;
     int best_shared = 0;
     for (const CovisibilityEdge& e : covisibility_[i])
-      if (e.keyframe.value() < i && e.keyframe != removed && e.shared > best_shared) {
+      if (e.keyframe.value() < i && e.keyframe != removed && keyframe(e.keyframe).map == map && e.shared > best_shared) {
         best = e.keyframe;
         best_shared = e.shared;
       }
