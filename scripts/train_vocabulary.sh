@@ -31,4 +31,5 @@ for seed in $(seq 1001 $((1000 + seeds))); do
 done | xargs -P "$(nproc)" -I {} bash -c 'render {} "$0" "$1"' "$renders" "$fastloop"
 
 # Every third image: the first frame of either camera.
-"$fastloop" vocab train "$renders" --every 3 --features 1200 --levels 6 --out "$out"
+"$fastloop" vocab train "$renders" --every 3 --features 1200 --levels 6 --min-to-split 16 \
+            --out "$out"
