@@ -26,14 +26,15 @@ std::string reason_of(const System& system, const std::string& kind) {
 }
 
 TEST(Robustness, LensCoveredForASecondIsRelocalised) {
-  Recording recording(CameraKind::kPinhole, 5);
-  cover_lens(recording, 2.5, 3.5);
+  Recording recording(CameraKind::kPinhole, 4);
+  cover_lens(recording, 1.2, 2.2);
   System system(recording.sequence.calibration(), small_options(Mode::kStereo));
   feed(system, recording);
   EXPECT_EQ(count_events(system, "recently_lost"), 1u);
   EXPECT_NE(reason_of(system, "recently_lost"), "");
   EXPECT_EQ(count_events(system, "relocalised"), 1u);
   EXPECT_NE(reason_of(system, "relocalised"), "");
+  EXPECT_EQ(count_tracked(system), recording.frames.size() - 20) << "relocalised by the first frame with light";
   EXPECT_EQ(system.snapshot()->maps().size(), 1u);
   EXPECT_EQ(system.frames().back().state, State::kTracking);
   EXPECT_LT(ate_m(system, recording.sequence), 0.1);

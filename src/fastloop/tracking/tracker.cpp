@@ -9,7 +9,19 @@ namespace {
 
 constexpr int kEnoughLastFrameInliers = 10;
 constexpr int kFewLastFrameMatches = 20;
+constexpr Nanoseconds kMaxImuGapNs = 50'000'000;  ///< longer without a measurement is not integrated over
 constexpr std::size_t kStereoPointsHelpBelow = 100;  ///< landmarks; above, unmapped stereo points are left out
+
+/// Whether the measurements tell the motion of the whole interval.
+bool covers(const std::vector<ImuSample>& samples, Nanoseconds begin_ns, Nanoseconds end_ns) {
+  Nanoseconds known = begin_ns;
+  for (const ImuSample& s : samples) {
+    if (s.stamp_ns - known > kMaxImuGapNs) return false;
+    known = std::max(known, s.stamp_ns);
+  }
+  // Only a stale measurement at or before the beginning covers nothing.
+  return known > begin_ns && end_ns - known <= kMaxImuGapNs;
+}
 
 }  // namespace
 
@@ -81,8 +93,7 @@ std::shared_ptr<const PreintegratedImu> Tracker::preintegrate(Nanoseconds begin_
                                [](const ImuSample& s, Nanoseconds t) { return s.stamp_ns < t; });
   if (last != imu_.end()) ++last;
   const std::vector<ImuSample> samples(first, last);
-  // Without a measurement after the beginning there is only a stale one to go by.
-  if (samples.empty() || samples.back().stamp_ns <= begin_ns || end_ns <= begin_ns) return nullptr;
+  if (end_ns <= begin_ns || !covers(samples, begin_ns, end_ns)) return nullptr;
   return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, bias, *imu_calibration_);
 }
 
@@ -313,6 +324,9 @@ bool Tracker::optimise(const std::vector<optimization::PoseObservation>& observa
     velocity_known_ = true;
     return true;
   }
+  // Without measurements nothing is known of the velocity: the next IMU factor starts at a keyframe.
+  prior_.reset();
+  velocity_known_ = false;
   auto fit = optimization::optimize_pose(snapshot_->rig(), frame_.state.T_world_body, observations);
   frame_.state.T_world_body = fit.T_world_body;
   inlier = std::move(fit.inlier);
