@@ -88,7 +88,7 @@ TEST(RealData, RedkitchenRgbd) {
   const fs::path folder = data_folder("redkitchen_rgbd");
   if (!fs::exists(folder)) GTEST_SKIP() << folder << " is absent";
   const auto assumed = open_dataset(folder);
-  EXPECT_THAT(assumed->remarks(), testing::Contains(testing::HasSubstr("fx = fy = 525")));
+  EXPECT_THAT(assumed->remarks(), testing::Contains(testing::HasSubstr("fx = fy = 585")));
 
   const TemporaryFolder temporary;
   Calibration true_values = assumed->calibration();
