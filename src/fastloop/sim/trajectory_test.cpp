@@ -65,7 +65,7 @@ TEST_P(Motion, StaysWithinTheSpeedOfAHand) {
   const double seconds = default_seconds(GetParam());
   const double fastest = GetParam() == WorldKind::kCampus ? 5.0 : 1.5;
   const double least = GetParam() == WorldKind::kRoom       ? 28
-                       : GetParam() == WorldKind::kHall     ? 60
+                       : GetParam() == WorldKind::kHall     ? 1.95 * floor_path(WorldKind::kHall).length()  // walked twice
                        : GetParam() == WorldKind::kCorridor ? 200
                                                             : 1000;
   for (std::uint64_t seed = 1; seed <= 12; ++seed) {
