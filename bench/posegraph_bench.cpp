@@ -48,9 +48,10 @@ PoseGraphOptions options_for(const Graph& graph, PoseGraphSolverKind solver) {
   PoseGraphOptions options;
   options.solver = solver;
   if (solver == PoseGraphSolverKind::kBlock) return options;
-  // The others may stop as soon as they are as good; the block solver has to find out by itself.
-  options.target_cost = graph.target_cost;
-  options.max_iterations = solver == PoseGraphSolverKind::kReference ? 20 : 100;
+  // Ceres may stop as soon as it is as good; the others have to find out by themselves, the reference by its
+  // published rule (but with iterations enough to get there).
+  if (solver == PoseGraphSolverKind::kCeres) options.target_cost = graph.target_cost;
+  options.max_iterations = solver == PoseGraphSolverKind::kReference ? 40 : 100;
   options.relative_tolerance = graph.ceres_tolerance;
   options.initial_trust_region_radius = graph.ceres_radius;
   return options;

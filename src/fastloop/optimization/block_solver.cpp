@@ -226,7 +226,9 @@ void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResu
         rejections = 0;
         const double decrease = before - cost;
         const bool small = decrease <= tolerance * cost && expected <= 10 * tolerance * before;
-        if (cost <= floor || (small && lambda == 0)) {
+        // A step whose effect was foretold this well met no curvature that another step could use.
+        const bool foretold = std::abs(decrease - expected) <= 0.1 * tolerance * cost;
+        if (cost <= floor || ((small || foretold) && lambda == 0)) {
           result.final_cost = cost;
           return converged();
         }
