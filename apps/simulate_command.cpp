@@ -58,7 +58,7 @@ void add_simulate_command(CLI::App& app, int& exit_code) {
   auto a = std::make_shared<SimulateArguments>();
   CLI::App* command = app.add_subcommand("simulate", "Make a synthetic sequence with exact ground truth");
   command->footer(
-      "Worlds: room (8 x 6 m, 40 s), hall (25 x 15 m, 60 s), corridor (214 m circuit, 160 s, fisheye),\n"
+      "Worlds: room (8 x 6 m, 40 s), hall (25 x 15 m, 90 s), corridor (214 m circuit, 160 s, fisheye),\n"
       "campus (streets, 1.1 km, 300 s). The folder is an EuRoC recording (mav0/...), or a TUM RGB-D one for\n"
       "--camera rgbd. The same seed gives the same bytes.\n"
       "Example: fastloop simulate room --out /tmp/room --seconds 20 --seed 3");

@@ -138,7 +138,7 @@ std::string to_string(WorldKind kind) {
 double default_seconds(WorldKind kind) {
   switch (kind) {
     case WorldKind::kRoom: return 40;
-    case WorldKind::kHall: return 60;
+    case WorldKind::kHall: return 90;
     case WorldKind::kCorridor: return 160;
     case WorldKind::kCampus: return 300;
   }
