@@ -124,6 +124,7 @@ const FrameRecord& System::process(const FrameInput& input) {
   std::vector<ImuSample> finite_imu;
   in.imu = s.usable_imu(input, finite_imu);
   in.mapping_idle = s.options.deterministic || s.worker.idle();
+  in.mapping_full = s.options.drop_when_busy && s.worker.full();
   tracking::TrackResult result = s.tracker.track(in, s.worker.snapshot());
 
   FrameRecord record;

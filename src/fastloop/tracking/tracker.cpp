@@ -417,6 +417,7 @@ void Tracker::finish_lost(TrackResult& result) {
 }
 
 bool Tracker::wants_keyframe(const Input& input) const {
+  if (input.mapping_full) return false;
   KeyframeSituation s;
   s.seconds_since_keyframe = to_seconds(frame_.stamp_ns - last_keyframe_ns_);
   s.inliers = inliers_;

@@ -32,6 +32,7 @@ class Tracker {
     std::shared_ptr<const FeatureSet> features;
     const std::vector<ImuSample>* imu = nullptr;  ///< as FrameInput::imu
     bool mapping_idle = true;
+    bool mapping_full = false;   ///< live operation and mapping is far behind: no keyframe may be requested
   };
   TrackResult track(const Input& input, const std::shared_ptr<const map::Snapshot>& snapshot);
 
