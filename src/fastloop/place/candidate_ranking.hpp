@@ -9,8 +9,12 @@
 
 namespace fastloop::place {
 
+/// QueryOptions::min_shared_ratio for a query whose candidates are ranked afterwards: it may let
+/// more through than the published 0.8.
+inline constexpr float kSharedRatioBeforeRanking = 0.6f;
+
 struct RankingOptions {
-  int max_candidates = 10;  ///< how many of the query's candidates are looked at
+  int max_candidates = 20;  ///< how many of the query's candidates are looked at
   matching::DescriptorMatchOptions matching;
 };
 
@@ -21,8 +25,8 @@ struct RankedCandidate {
 };
 
 /// Puts the first candidates of a query in the order of their descriptor matches with the query
-/// image. Words say little when images are few or the vocabulary is strange to the place; the
-/// descriptors themselves say much more and cost about 0.1 ms a candidate.
+/// image. Words say little when keyframes are few or the vocabulary is strange to the place; the
+/// descriptors themselves say much more.
 ///
 /// @param candidates  as InvertedIndex::query returns them; for loops and merges apart, of one map
 /// @param side_of     features, groups and mask of a keyframe
