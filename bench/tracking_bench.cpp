@@ -7,8 +7,10 @@
 // Counters:
 //   ratio       median time of a frame over the median time of cv::ORB::detectAndCompute (1,200 features, 8 levels,
 //               one thread) on both images of a frame, one after the other; every fourth frame is measured
-//   last_first  median time of a frame in the last fifth of the sequence over that in the first fifth
-//   features    share of rectification, extraction and stereo matching in the time of the median frame
+//   last_first  median time of a frame in the last fifth of the sequence over that in the first fifth, each in units
+//               of cv::ORB's median in the same fifth: other programs on the machine come and go
+//   features    medians of rectification, extraction and stereo matching over the median time of a frame
+//   pose        the same of prediction, both searches and the pose
 #include <benchmark/benchmark.h>
 
 #include <algorithm>
@@ -89,10 +91,15 @@ void track_sequence(benchmark::State& state) {
     double features = 0;
     for (const char* stage : {"rectify", "orb", "stereo"})
       if (const auto samples = system.times().samples(stage); !samples.empty()) features += median(samples);
+    double search = 0;
+    for (const char* stage : {"predict", "last_frame", "local_map", "pose"})
+      if (const auto samples = system.times().samples(stage); !samples.empty()) search += median(samples);
     state.SetIterationTime(median(track) / 1e3);
     state.counters["ratio"] = median(track) / median(reference);
-    state.counters["last_first"] = median_of_fifth(track, 4) / median_of_fifth(track, 0);
+    const auto cost = [&](std::size_t part) { return median_of_fifth(track, part) / median_of_fifth(reference, part); };
+    state.counters["last_first"] = cost(4) / cost(0);
     state.counters["features"] = features / median(track);
+    state.counters["pose"] = search / median(track);
     state.counters["tracked"] = static_cast<double>(tracked) / static_cast<double>(count);
     state.counters["keyframes"] = static_cast<double>(system.snapshot()->num_keyframes());
   }
