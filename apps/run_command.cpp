@@ -28,12 +28,14 @@ struct RunArguments {
 };
 
 system::Mode parse_mode(const std::string& name) {
-  for (const auto mode : {system::Mode::kAuto, system::Mode::kStereo, system::Mode::kStereoInertial, system::Mode::kRgbd})
+  for (const auto mode : {system::Mode::kAuto, system::Mode::kStereo, system::Mode::kStereoInertial,
+                          system::Mode::kRgbd})
     if (name == system::to_string(mode)) return mode;
   throw InvalidArgument("unknown mode " + name);
 }
 
-/// Decodes images ahead of tracking in a thread of its own. Errors arrive with the frame they concern.
+/// Decodes images ahead of tracking in a thread of its own. Errors arrive with the frame they
+/// concern.
 class Prefetcher {
  public:
   struct Item {
@@ -67,15 +69,17 @@ class Prefetcher {
 /// One line that is rewritten on a terminal; a line every few seconds otherwise.
 class Progress {
  public:
-  Progress(std::size_t total, bool quiet) : total_(total), quiet_(quiet), terminal_(isatty(STDERR_FILENO) != 0) {}
+  Progress(std::size_t total, bool quiet)
+      : total_(total), quiet_(quiet), terminal_(isatty(STDERR_FILENO) != 0) {}
   void update(const system::System& system, bool last) {
     const double now = watch_.elapsed_ms() / 1e3;
     if (quiet_ || (!last && now - shown_ < (terminal_ ? 0.2 : 5.0))) return;
     shown_ = now;
     const auto& f = system.frames().back();
     const auto map = system.snapshot();
-    std::fprintf(stderr, "%s%zu/%zu frames  %.1f fps  %s  %zu keyframes  %zu landmarks%s", terminal_ ? "\r" : "",
-                 system.frames().size(), total_, static_cast<double>(system.frames().size()) / now, tracking::to_string(f.state),
+    std::fprintf(stderr, "%s%zu/%zu frames  %.1f fps  %s  %zu keyframes  %zu landmarks%s",
+                 terminal_ ? "\r" : "", system.frames().size(), total_,
+                 static_cast<double>(system.frames().size()) / now, tracking::to_string(f.state),
                  map->num_keyframes(), map->num_landmarks(), terminal_ && !last ? "   " : "\n");
   }
 
@@ -95,9 +99,11 @@ std::size_t first_frame(const io::Dataset& dataset, double start_s) {
 }
 
 /// Feeds the frames; with `realtime` at the recorded pace, dropping what comes too late.
-void feed(const io::Dataset& dataset, system::System& system, const RunArguments& args, io::RunFacts& facts) {
+void feed(const io::Dataset& dataset, system::System& system, const RunArguments& args,
+          io::RunFacts& facts) {
   const std::size_t begin = first_frame(dataset, args.start_s);
-  const std::size_t end = args.max_frames ? std::min(dataset.size(), begin + args.max_frames) : dataset.size();
+  const std::size_t end =
+      args.max_frames ? std::min(dataset.size(), begin + args.max_frames) : dataset.size();
   facts.frames_available = end - begin;
   Progress progress(end - begin, args.quiet);
   Prefetcher prefetcher(dataset, begin, end);
@@ -107,15 +113,18 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
     if (interrupted) break;
     if (item->error) std::rethrow_exception(item->error);
     if (args.realtime) {
-      const auto due = start + std::chrono::nanoseconds(item->frame.stamp_ns - dataset.stamp_ns(begin));
-      const auto period = std::chrono::nanoseconds(item->index > begin ? item->frame.stamp_ns - dataset.stamp_ns(item->index - 1) : 0);
+      const auto due =
+          start + std::chrono::nanoseconds(item->frame.stamp_ns - dataset.stamp_ns(begin));
+      const auto period = std::chrono::nanoseconds(
+          item->index > begin ? item->frame.stamp_ns - dataset.stamp_ns(item->index - 1) : 0);
       std::this_thread::sleep_until(due);
       if (std::chrono::steady_clock::now() > due + period && item->index > begin) {
         ++facts.frames_dropped;
         continue;
       }
     }
-    // Measurements belong to the time since the last processed frame; before the first one nothing is known.
+    // Measurements belong to the time since the last processed frame; before the first one nothing
+    // is known.
     if (item->index == begin || item->index > fed + 1)
       item->frame.imu = dataset.imu_between(dataset.stamp_ns(fed), item->frame.stamp_ns);
     fed = item->index;
@@ -161,9 +170,13 @@ int run(const RunArguments& args) {
   if (failure) std::rethrow_exception(failure);
 
   const io::RunSummary s = io::summarize_run(system);
-  std::printf("%zu frames, %.1f %% tracked, %zu keyframes, %zu landmarks, %zu map%s, %.1f s; results in %s\n", s.frames,
-              s.frames ? 100.0 * static_cast<double>(s.tracked) / static_cast<double>(s.frames) : 0.0, s.keyframes, s.landmarks,
-              s.maps, s.maps == 1 ? "" : "s", facts.wall_seconds, args.out.c_str());
+  std::printf(
+      "%zu frames, %.1f %% tracked, %zu keyframes, %zu landmarks, %zu map%s, %.1f s; results in "
+      "%s\n",
+      s.frames,
+      s.frames ? 100.0 * static_cast<double>(s.tracked) / static_cast<double>(s.frames) : 0.0,
+      s.keyframes, s.landmarks, s.maps, s.maps == 1 ? "" : "s", facts.wall_seconds,
+      args.out.c_str());
   return s.tracked > 0 ? kExitOk : kExitNeverInitialised;
 }
 
@@ -171,21 +184,36 @@ int run(const RunArguments& args) {
 
 void add_run_command(CLI::App& app, int& exit_code) {
   auto args = std::make_shared<RunArguments>();
-  CLI::App* command = app.add_subcommand("run", "Run SLAM on a data set folder and write trajectory and map");
-  command->add_option("dataset", args->dataset, "EuRoC, TUM-VI, TUM RGB-D or KITTI odometry folder")->required();
-  command->add_option("--out", args->out, "Folder for the results; created when missing")->required();
-  command->add_option("--mode", args->mode, "Sensors to use")->check(CLI::IsMember({"auto", "stereo", "stereo-inertial", "rgbd"}))->capture_default_str();
-  command->add_option("--calib", args->calibration, "Calibration file that replaces the data set's own (own YAML, Kalibr, ORB-SLAM3)");
-  command->add_option("--config", args->config, "YAML with options that differ from the defaults (docs/options.md)");
-  command->add_flag("--deterministic", args->deterministic, "One thread of control: the same bytes in every run");
-  command->add_flag("--realtime", args->realtime, "Play at the recorded pace; frames that come too late are dropped and counted");
-  command->add_option("--max-frames", args->max_frames, "Stop after this many frames; 0 = all")->capture_default_str();
-  command->add_option("--start", args->start_s, "Skip this many seconds at the beginning")->check(CLI::NonNegativeNumber)->capture_default_str();
+  CLI::App* command =
+      app.add_subcommand("run", "Run SLAM on a data set folder and write trajectory and map");
+  command->add_option("dataset", args->dataset, "EuRoC, TUM-VI, TUM RGB-D or KITTI odometry folder")
+      ->required();
+  command->add_option("--out", args->out, "Folder for the results; created when missing")
+      ->required();
+  command->add_option("--mode", args->mode, "Sensors to use")
+      ->check(CLI::IsMember({"auto", "stereo", "stereo-inertial", "rgbd"}))
+      ->capture_default_str();
+  command->add_option(
+      "--calib", args->calibration,
+      "Calibration file that replaces the data set's own (own YAML, Kalibr, ORB-SLAM3)");
+  command->add_option("--config", args->config,
+                      "YAML with options that differ from the defaults (docs/options.md)");
+  command->add_flag("--deterministic", args->deterministic,
+                    "One thread of control: the same bytes in every run");
+  command->add_flag("--realtime", args->realtime,
+                    "Play at the recorded pace; frames that come too late are dropped and counted");
+  command->add_option("--max-frames", args->max_frames, "Stop after this many frames; 0 = all")
+      ->capture_default_str();
+  command->add_option("--start", args->start_s, "Skip this many seconds at the beginning")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
   command->add_flag("--no-loop", args->no_loop, "Without loop closing");
   command->add_flag("--quiet", args->quiet, "No progress lines");
   command->footer(
-      "Example: fastloop run /data/MH_01_easy --out /tmp/mh01 && fastloop eval /data/MH_01_easy/mav0/state_groundtruth_estimate0/data.csv "
-      "/tmp/mh01/trajectory_body.txt\nExit codes: 0 success, 2 bad input, 3 tracking never initialised.");
+      "Example: fastloop run /data/MH_01_easy --out /tmp/mh01 && fastloop eval "
+      "/data/MH_01_easy/mav0/state_groundtruth_estimate0/data.csv "
+      "/tmp/mh01/trajectory_body.txt\nExit codes: 0 success, 2 bad input, 3 tracking never "
+      "initialised.");
   command->callback([args, &exit_code] { exit_code = run(*args); });
 }
 

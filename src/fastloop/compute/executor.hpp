@@ -17,8 +17,9 @@ class Executor {
 
   Kind kind() const { return kind_; }
 
-  /// Calls body(begin, end) on disjoint ranges that cover [0, n). `grain` is the smallest range worth a task.
-  /// Bodies must not depend on how the range is cut. Exceptions propagate to the caller.
+  /// Calls body(begin, end) on disjoint ranges that cover [0, n). `grain` is the smallest range
+  /// worth a task. Bodies must not depend on how the range is cut. Exceptions propagate to the
+  /// caller.
   void for_ranges(std::size_t n, std::size_t grain,
                   const std::function<void(std::size_t, std::size_t)>& body) const;
 

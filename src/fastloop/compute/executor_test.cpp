@@ -22,7 +22,8 @@ TEST(Executor, CoversEveryIndexOnce) {
 
 TEST(Executor, ExceptionsReachTheCaller) {
   for (const Executor executor : {Executor::reference(), Executor::cpu()})
-    EXPECT_THROW(executor.for_ranges(100, 1, [](std::size_t, std::size_t) { throw std::runtime_error("x"); }),
+    EXPECT_THROW(executor.for_ranges(
+                     100, 1, [](std::size_t, std::size_t) { throw std::runtime_error("x"); }),
                  std::runtime_error);
 }
 

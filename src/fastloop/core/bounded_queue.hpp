@@ -7,8 +7,9 @@
 
 namespace fastloop {
 
-/// First-in first-out queue between two threads with a capacity: `push` waits while it is full, `pop` while
-/// it is empty. After `close`, push does nothing and pop empties the queue, then returns nothing.
+/// First-in first-out queue between two threads with a capacity: `push` waits while it is full,
+/// `pop` while it is empty. After `close`, push does nothing and pop empties the queue, then
+/// returns nothing.
 template <class T>
 class BoundedQueue {
  public:

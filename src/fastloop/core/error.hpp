@@ -5,7 +5,8 @@
 
 namespace fastloop {
 
-/// Base of every exception thrown by fastloop. Ordinary outcomes (lost, no loop) are values, not exceptions.
+/// Base of every exception thrown by fastloop. Ordinary outcomes (lost, no loop) are values, not
+/// exceptions.
 class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

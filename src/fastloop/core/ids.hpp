@@ -7,7 +7,8 @@
 
 namespace fastloop {
 
-/// Strong integer id. Two ids of different kinds do not convert into each other; a default id is invalid.
+/// Strong integer id. Two ids of different kinds do not convert into each other; a default id is
+/// invalid.
 template <class Tag>
 class Id {
  public:

@@ -19,6 +19,8 @@ spdlog::logger& logger(const std::string& module) {
   return *created;
 }
 
-void set_log_level(spdlog::level::level_enum level) { spdlog::set_level(level); }
+void set_log_level(spdlog::level::level_enum level) {
+  spdlog::set_level(level);
+}
 
 }  // namespace fastloop

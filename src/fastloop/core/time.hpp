@@ -9,8 +9,12 @@ namespace fastloop {
 /// Time stamps are integer nanoseconds in the clock of the data set (`stamp_ns`).
 using Nanoseconds = std::int64_t;
 
-constexpr double to_seconds(Nanoseconds ns) { return static_cast<double>(ns) * 1e-9; }
-inline Nanoseconds from_seconds(double s) { return std::llround(s * 1e9); }
+constexpr double to_seconds(Nanoseconds ns) {
+  return static_cast<double>(ns) * 1e-9;
+}
+inline Nanoseconds from_seconds(double s) {
+  return std::llround(s * 1e9);
+}
 
 /// Wall clock for stage times: elapsed milliseconds since construction or the last `restart()`.
 class Stopwatch {

@@ -22,7 +22,8 @@ Distorted distort_radtan(const Camera& c, double x, double y) {
   d.point << x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
       y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y;
   d.jacobian << radial + 2 * x * x * d_radial + 2 * p1 * y + 6 * p2 * x,
-      2 * x * y * d_radial + 2 * p1 * x + 2 * p2 * y, 2 * x * y * d_radial + 2 * p1 * x + 2 * p2 * y,
+      2 * x * y * d_radial + 2 * p1 * x + 2 * p2 * y,
+      2 * x * y * d_radial + 2 * p1 * x + 2 * p2 * y,
       radial + 2 * y * y * d_radial + 6 * p1 * y + 2 * p2 * x;
   return d;
 }
@@ -32,8 +33,7 @@ std::pair<double, double> kannala_brandt(const Camera& c, double theta) {
   const double t2 = theta * theta;
   const auto& k = c.distortion;
   const double value = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
-  const double slope =
-      1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])));
+  const double slope = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])));
   return {value, slope};
 }
 
@@ -73,12 +73,13 @@ Eigen::Vector2d Camera::project(const Vector3d& p, Eigen::Matrix<double, 2, 3>* 
   const double s = theta_d / r;
   if (jacobian) {
     const double n2 = r2 + p.z() * p.z();
-    const double d_theta_r = p.z() / n2;   // d theta / d r
-    const double d_theta_z = -r / n2;      // d theta / d z
+    const double d_theta_r = p.z() / n2;  // d theta / d r
+    const double d_theta_z = -r / n2;     // d theta / d z
     const double ds_r = (slope * d_theta_r - s) / r;
     const double ux = p.x() / r, uy = p.y() / r;
-    (*jacobian) << fx * (s + p.x() * ds_r * ux), fx * p.x() * ds_r * uy, fx * slope * d_theta_z * ux,
-        fy * p.y() * ds_r * ux, fy * (s + p.y() * ds_r * uy), fy * slope * d_theta_z * uy;
+    (*jacobian) << fx * (s + p.x() * ds_r * ux), fx * p.x() * ds_r * uy,
+        fx * slope * d_theta_z * ux, fy * p.y() * ds_r * ux, fy * (s + p.y() * ds_r * uy),
+        fy * slope * d_theta_z * uy;
   }
   return {fx * s * p.x() + cx, fy * s * p.y() + cy};
 }

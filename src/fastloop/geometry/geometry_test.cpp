@@ -50,11 +50,23 @@ TEST(Se3, GroupAndRetraction) {
 }
 
 Camera radtan() {
-  return {CameraModel::kPinhole, 752, 480, 458.654, 457.296, 367.215, 248.375,
+  return {CameraModel::kPinhole,
+          752,
+          480,
+          458.654,
+          457.296,
+          367.215,
+          248.375,
           {-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0}};
 }
 Camera fisheye() {
-  return {CameraModel::kKannalaBrandt, 512, 512, 190.978, 190.973, 254.931, 256.897,
+  return {CameraModel::kKannalaBrandt,
+          512,
+          512,
+          190.978,
+          190.973,
+          254.931,
+          256.897,
           {0.0034823, 0.000715, -0.0020532, 0.00020293, 0}};
 }
 
@@ -85,9 +97,10 @@ TEST_P(CameraTest, JacobianMatchesDifferences) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Models, CameraTest,
-                         testing::Values(radtan(), fisheye(),
-                                         Camera{CameraModel::kPinhole, 640, 480, 585, 585, 320, 240, {}}));
+INSTANTIATE_TEST_SUITE_P(
+    Models, CameraTest,
+    testing::Values(radtan(), fisheye(),
+                    Camera{CameraModel::kPinhole, 640, 480, 585, 585, 320, 240, {}}));
 
 TEST(Camera, RefusesNonsense) {
   Camera c = radtan();

@@ -104,7 +104,8 @@ void load_options(const std::filesystem::path& file, system::SystemOptions& opti
   read_options(YamlNode::load(file.string()), options);
 }
 
-void parse_options(const std::string& text, const std::string& name, system::SystemOptions& options) {
+void parse_options(const std::string& text, const std::string& name,
+                   system::SystemOptions& options) {
   read_options(YamlNode::parse(text, name), options);
 }
 

@@ -21,7 +21,10 @@ std::string complaint(const std::string& text) {
 TEST(OptionsYaml, OverridesOnlyWhatIsGiven) {
   system::SystemOptions options;
   const auto before = options;
-  parse_options("orb:\n  num_features: 800\ntracking:\n  keyframe_match_ratio: 0.5\nmapping:\n  window_keyframes: 7\n", "o.yaml", options);
+  parse_options(
+      "orb:\n  num_features: 800\ntracking:\n  keyframe_match_ratio: 0.5\nmapping:\n  "
+      "window_keyframes: 7\n",
+      "o.yaml", options);
   EXPECT_EQ(options.orb.num_features, 800);
   EXPECT_EQ(options.tracking.keyframe_match_ratio, 0.5);
   EXPECT_EQ(options.mapping.window_keyframes, 7u);
@@ -32,7 +35,8 @@ TEST(OptionsYaml, OverridesOnlyWhatIsGiven) {
 TEST(OptionsYaml, SaysWhatIsWrongAndWhere) {
   using testing::AllOf;
   using testing::HasSubstr;
-  EXPECT_THAT(complaint("tracking:\n  min_inlier: 3\n"), AllOf(HasSubstr("o.yaml:2"), HasSubstr("min_inlier"), HasSubstr("min_inliers")));
+  EXPECT_THAT(complaint("tracking:\n  min_inlier: 3\n"),
+              AllOf(HasSubstr("o.yaml:2"), HasSubstr("min_inlier"), HasSubstr("min_inliers")));
   EXPECT_THAT(complaint("slam: {}\n"), HasSubstr("slam"));
   EXPECT_THAT(complaint("orb:\n  num_features: many\n"), HasSubstr("o.yaml:2"));
   EXPECT_THAT(complaint("mapping:\n  threads: -1\n"), HasSubstr("threads"));

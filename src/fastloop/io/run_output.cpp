@@ -17,7 +17,9 @@ void write_file(const std::filesystem::path& path, const std::string& content) {
   std::ofstream out(path, std::ios::binary);
   out << content;
   out.close();
-  if (!out) throw InputError({path.string(), 0, ""}, "cannot be written completely", "enough space and permission");
+  if (!out)
+    throw InputError({path.string(), 0, ""}, "cannot be written completely",
+                     "enough space and permission");
 }
 
 /// Carries on after a file that could not be written, so that it does not take the others along.
@@ -39,16 +41,17 @@ class Attempts {
   std::exception_ptr failure_;
 };
 
-std::vector<StampedPose> collect(const system::System& system,
-                                 const std::function<std::optional<SE3>(const system::FrameRecord&)>& pose_of) {
+std::vector<StampedPose> collect(
+    const system::System& system,
+    const std::function<std::optional<SE3>(const system::FrameRecord&)>& pose_of) {
   std::vector<StampedPose> poses;
   for (const system::FrameRecord& f : system.frames())
     if (const auto pose = pose_of(f)) poses.push_back({f.stamp_ns, *pose});
   return poses;
 }
 
-void write_trajectories(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts,
-                        Attempts& attempts) {
+void write_trajectories(const std::filesystem::path& folder, const system::System& system,
+                        const RunFacts& facts, Attempts& attempts) {
   const auto write = [&](const char* name, const std::vector<StampedPose>& poses) {
     attempts.run([&] { write_tum(folder / name, poses); });
   };
@@ -65,7 +68,8 @@ void write_trajectories(const std::filesystem::path& folder, const system::Syste
   std::vector<StampedPose> keyframes;
   for (std::uint32_t i = 0; i < map->keyframe_slots(); ++i)
     if (map->contains(KeyframeId(i)))
-      keyframes.push_back({map->keyframe(KeyframeId(i)).data->stamp_ns, map->T_world_body(KeyframeId(i))});
+      keyframes.push_back(
+          {map->keyframe(KeyframeId(i)).data->stamp_ns, map->T_world_body(KeyframeId(i))});
   write("keyframes.txt", keyframes);
 }
 
@@ -80,8 +84,10 @@ void write_map_ply(const std::filesystem::path& path, const map::Snapshot& map) 
     body += line;
     ++count;
   }
-  write_file(path, "ply\nformat ascii 1.0\ncomment landmarks, metres, world frame\nelement vertex " + std::to_string(count) +
-                       "\nproperty float x\nproperty float y\nproperty float z\nend_header\n" + body);
+  write_file(path,
+             "ply\nformat ascii 1.0\ncomment landmarks, metres, world frame\nelement vertex " +
+                 std::to_string(count) +
+                 "\nproperty float x\nproperty float y\nproperty float z\nend_header\n" + body);
 }
 
 void write_events(const std::filesystem::path& path, const system::System& system) {
@@ -96,15 +102,19 @@ void write_events(const std::filesystem::path& path, const system::System& syste
   write_file(path, text);
 }
 
-void write_timing(const std::filesystem::path& path, const system::System& system, const RunFacts& facts) {
+void write_timing(const std::filesystem::path& path, const system::System& system,
+                  const RunFacts& facts) {
   Json stages = Json::object();
   for (const auto& [name, s] : system.times().statistics())
-    stages[name] = {{"count", s.count}, {"mean_ms", s.mean_ms}, {"p50_ms", s.p50_ms}, {"p95_ms", s.p95_ms}, {"p99_ms", s.p99_ms}, {"max_ms", s.max_ms}};
+    stages[name] = {{"count", s.count},   {"mean_ms", s.mean_ms}, {"p50_ms", s.p50_ms},
+                    {"p95_ms", s.p95_ms}, {"p99_ms", s.p99_ms},   {"max_ms", s.max_ms}};
   Json j;
   j["stages"] = stages;
   j["wall_seconds"] = facts.wall_seconds;
-  j["fps"] = facts.wall_seconds > 0 ? static_cast<double>(system.frames().size()) / facts.wall_seconds : 0;
-  // Medians of tracking over five equal parts of the sequence: flat unless the map slows tracking down.
+  j["fps"] =
+      facts.wall_seconds > 0 ? static_cast<double>(system.frames().size()) / facts.wall_seconds : 0;
+  // Medians of tracking over five equal parts of the sequence: flat unless the map slows tracking
+  // down.
   const std::vector<double> samples = system.times().samples("track_total");
   Json fifths = Json::array();
   for (std::size_t part = 0; part < 5; ++part) {
@@ -116,24 +126,32 @@ void write_timing(const std::filesystem::path& path, const system::System& syste
   write_file(path, j.dump(2) + "\n");
 }
 
-void write_summary(const std::filesystem::path& path, const system::System& system, const RunFacts& facts) {
+void write_summary(const std::filesystem::path& path, const system::System& system,
+                   const RunFacts& facts) {
   const RunSummary s = summarize_run(system);
   Json j;
   j["version"] = "0.1.0";
   j["dataset"] = facts.dataset;
   j["mode"] = system::to_string(system.mode());
-  j["state"] = system.frames().empty() ? "no frames" : tracking::to_string(system.frames().back().state);
+  j["state"] =
+      system.frames().empty() ? "no frames" : tracking::to_string(system.frames().back().state);
   j["frames"] = s.frames;
   j["frames_tracked"] = s.tracked;
-  j["tracked_percent"] = s.frames ? 100.0 * static_cast<double>(s.tracked) / static_cast<double>(s.frames) : 0.0;
+  j["tracked_percent"] =
+      s.frames ? 100.0 * static_cast<double>(s.tracked) / static_cast<double>(s.frames) : 0.0;
   j["tracked_percent_since_initialised"] =
-      s.frames_since_start ? 100.0 * static_cast<double>(s.tracked_since_start) / static_cast<double>(s.frames_since_start) : 0.0;
+      s.frames_since_start ? 100.0 * static_cast<double>(s.tracked_since_start) /
+                                 static_cast<double>(s.frames_since_start)
+                           : 0.0;
   j["dropped_frames"] = facts.frames_dropped;
   j["keyframes"] = s.keyframes;
   j["landmarks"] = s.landmarks;
   j["maps"] = s.maps;
   j["imu_initialized"] = system.imu_initialized();
-  j["seconds"] = system.frames().empty() ? 0.0 : to_seconds(system.frames().back().stamp_ns - system.frames().front().stamp_ns);
+  j["seconds"] =
+      system.frames().empty()
+          ? 0.0
+          : to_seconds(system.frames().back().stamp_ns - system.frames().front().stamp_ns);
   j["interrupted"] = facts.interrupted;
   j["remarks"] = facts.remarks;
   write_file(path, j.dump(2) + "\n");
@@ -163,17 +181,20 @@ void prepare_output_folder(const std::filesystem::path& folder) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error || !std::filesystem::is_directory(folder))
-    throw InputError({folder.string(), 0, ""}, "output folder cannot be created", "a writable folder");
+    throw InputError({folder.string(), 0, ""}, "output folder cannot be created",
+                     "a writable folder");
   const std::filesystem::path probe = folder / ".write_test";
   try {
     write_file(probe, "x");
   } catch (const InputError&) {
-    throw InputError({folder.string(), 0, ""}, "output folder is not writable", "a writable folder");
+    throw InputError({folder.string(), 0, ""}, "output folder is not writable",
+                     "a writable folder");
   }
   std::filesystem::remove(probe, error);
 }
 
-void write_run_output(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts) {
+void write_run_output(const std::filesystem::path& folder, const system::System& system,
+                      const RunFacts& facts) {
   Attempts attempts;
   write_trajectories(folder, system, facts, attempts);
   attempts.run([&] { write_map_ply(folder / "map.ply", *system.snapshot()); });

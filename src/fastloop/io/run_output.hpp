@@ -24,11 +24,13 @@ void prepare_output_folder(const std::filesystem::path& folder);
 
 /// Writes all result files of a finished run (docs/outputs.md).
 /// @throws InputError naming the file that could not be written completely
-void write_run_output(const std::filesystem::path& folder, const system::System& system, const RunFacts& facts);
+void write_run_output(const std::filesystem::path& folder, const system::System& system,
+                      const RunFacts& facts);
 
 /// Numbers of summary.json, for the closing lines of the program.
 struct RunSummary {
-  std::size_t frames = 0, tracked = 0, tracked_since_start = 0, frames_since_start = 0, keyframes = 0, landmarks = 0, maps = 0;
+  std::size_t frames = 0, tracked = 0, tracked_since_start = 0, frames_since_start = 0,
+              keyframes = 0, landmarks = 0, maps = 0;
 };
 RunSummary summarize_run(const system::System& system);
 

@@ -9,18 +9,20 @@
 
 namespace fastloop {
 
-/// Growing sequence whose copies share their contents in chunks; a chunk is cloned when an owner writes to
-/// it while another copy still refers to it (copy on write).
+/// Growing sequence whose copies share their contents in chunks; a chunk is cloned when an owner
+/// writes to it while another copy still refers to it (copy on write).
 ///
-/// Copying costs one pointer per chunk, so a whole map is snapshot in microseconds. One thread may write
-/// to its own copy while other threads read theirs; a single object is not synchronised.
+/// Copying costs one pointer per chunk, so a whole map is snapshot in microseconds. One thread may
+/// write to its own copy while other threads read theirs; a single object is not synchronised.
 template <class T, std::size_t kChunkSize>
 class CowVector {
  public:
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
 
-  const T& operator[](std::size_t i) const { return chunks_[i / kChunkSize]->items[i % kChunkSize]; }
+  const T& operator[](std::size_t i) const {
+    return chunks_[i / kChunkSize]->items[i % kChunkSize];
+  }
 
   /// Writable element; clones its chunk when shared.
   T& mutate(std::size_t i) {
@@ -43,8 +45,8 @@ class CowVector {
     Chunk(const Chunk& o) : items(o.items) {}
   };
 
-  /// Intrusive counted pointer. `unique` synchronises with the release of the last other reference, which
-  /// std::shared_ptr::use_count does not promise.
+  /// Intrusive counted pointer. `unique` synchronises with the release of the last other reference,
+  /// which std::shared_ptr::use_count does not promise.
   class ChunkPointer {
    public:
     explicit ChunkPointer(Chunk* chunk) : chunk_(chunk) { retain(); }

@@ -28,7 +28,8 @@ TEST(CowVector, CopiesKeepTheirContentsWhateverIsWrittenLater) {
         break;
       case 2:
         copies.emplace_back(owner, expected);
-        if (copies.size() > 10) copies.erase(copies.begin() + static_cast<std::ptrdiff_t>(rng() % copies.size()));
+        if (copies.size() > 10)
+          copies.erase(copies.begin() + static_cast<std::ptrdiff_t>(rng() % copies.size()));
         break;
       default: {
         const std::size_t i = rng() % expected.size();
@@ -63,8 +64,9 @@ TEST(CowVector, ClonesAChunkOnlyWhileItIsShared) {
   EXPECT_EQ(&a[5], again);
 }
 
-/// The writer keeps the sum of each published copy at zero; readers would see a torn copy. Run under the thread
-/// sanitiser this also shows that a chunk is written in place only after its last reader is gone.
+/// The writer keeps the sum of each published copy at zero; readers would see a torn copy. Run
+/// under the thread sanitiser this also shows that a chunk is written in place only after its last
+/// reader is gone.
 TEST(CowVector, ReadersOfCopiesAndOneWriterDoNotMeet) {
   using Numbers = CowVector<long, 8>;
   std::mutex mutex;

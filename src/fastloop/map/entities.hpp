@@ -17,18 +17,18 @@ struct KeyframeData {
   std::shared_ptr<const FeatureSet> features;
 };
 
-/// A keyframe as the map knows it. A removed keyframe keeps its place in the list (ids are indices) and
-/// its pose relative to a live one, so that trajectories through it stay defined.
+/// A keyframe as the map knows it. A removed keyframe keeps its place in the list (ids are indices)
+/// and its pose relative to a live one, so that trajectories through it stay defined.
 struct Keyframe {
   std::shared_ptr<const KeyframeData> data;
   MapId map;
-  NavState state;                          ///< T_world_body, velocity, bias
-  std::vector<LandmarkId> landmarks;       ///< [num_keypoints]; invalid = none; emptied on removal
-  KeyframeId parent;                       ///< spanning tree; invalid at the root of a map
-  KeyframeId previous, next;               ///< temporal neighbours among live keyframes of the map
+  NavState state;                     ///< T_world_body, velocity, bias
+  std::vector<LandmarkId> landmarks;  ///< [num_keypoints]; invalid = none; emptied on removal
+  KeyframeId parent;                  ///< spanning tree; invalid at the root of a map
+  KeyframeId previous, next;          ///< temporal neighbours among live keyframes of the map
   std::shared_ptr<const PreintegratedImu> imu_from_previous;  ///< null without IMU or at a gap
   bool removed = false;
-  KeyframeId anchor_of_removed;            ///< with `removed`: pose = anchor pose * T_anchor_body
+  KeyframeId anchor_of_removed;  ///< with `removed`: pose = anchor pose * T_anchor_body
   SE3 T_anchor_body;
 };
 
@@ -37,17 +37,19 @@ struct Observation {
   std::uint32_t keypoint = 0;
 };
 
-/// A landmark lives in the body frame of its anchor keyframe: moving the keyframe moves the landmark.
+/// A landmark lives in the body frame of its anchor keyframe: moving the keyframe moves the
+/// landmark.
 struct Landmark {
-  KeyframeId anchor;                       ///< an observing keyframe; invalid when removed
-  LandmarkId replaced_by;                  ///< valid when it was merged into another one
-  Vector3d p_anchor = Vector3d::Zero();    ///< metres, anchor's body frame
-  Eigen::Vector3f normal_anchor = Eigen::Vector3f::Zero();  ///< mean viewing direction, from camera to landmark
+  KeyframeId anchor;                     ///< an observing keyframe; invalid when removed
+  LandmarkId replaced_by;                ///< valid when it was merged into another one
+  Vector3d p_anchor = Vector3d::Zero();  ///< metres, anchor's body frame
+  Eigen::Vector3f normal_anchor =
+      Eigen::Vector3f::Zero();  ///< mean viewing direction, from camera to landmark
   float min_distance_m = 0, max_distance_m = 0;  ///< at which the scale pyramid sees it
   Descriptor descriptor;
-  std::vector<Observation> observations;   ///< ordered by keyframe id, at most one per keyframe
-  KeyframeId first_keyframe;               ///< that created it
-  std::uint32_t visible = 1, found = 1;    ///< frames it was predicted in / found in
+  std::vector<Observation> observations;  ///< ordered by keyframe id, at most one per keyframe
+  KeyframeId first_keyframe;              ///< that created it
+  std::uint32_t visible = 1, found = 1;   ///< frames it was predicted in / found in
 
   bool removed() const { return !anchor.valid(); }
 };
@@ -63,7 +65,7 @@ struct MapInfo {
   MapId id;
   KeyframeId first_keyframe, last_keyframe;
   bool imu_initialized = false;
-  int imu_refinements = 0;      ///< later inertial adjustments: 0, 1 (5 s), 2 (15 s)
+  int imu_refinements = 0;        ///< later inertial adjustments: 0, 1 (5 s), 2 (15 s)
   std::size_t num_keyframes = 0;  ///< live
 };
 

@@ -27,7 +27,8 @@ MapId Map::start_map() {
   return info.id;
 }
 
-KeyframeId Map::add_keyframe(MapId map_id, std::shared_ptr<const KeyframeData> data, const NavState& state,
+KeyframeId Map::add_keyframe(MapId map_id, std::shared_ptr<const KeyframeData> data,
+                             const NavState& state,
                              std::shared_ptr<const PreintegratedImu> imu_from_previous) {
   const KeyframeId id(static_cast<std::uint32_t>(keyframes_.size()));
   MapInfo& info = maps_.at(map_id.value());
@@ -89,12 +90,14 @@ void Map::relink_children(KeyframeId removed) {
   const KeyframeId grandparent = keyframe(removed).parent;
   const MapId map = keyframe(removed).map;
   for (std::size_t i = 0; i < keyframes_.size(); ++i) {
-    if (keyframes_[i].removed || keyframes_[i].parent != removed || keyframes_[i].map != map) continue;
+    if (keyframes_[i].removed || keyframes_[i].parent != removed || keyframes_[i].map != map)
+      continue;
     // The best live covisible keyframe older than the child keeps the tree free of cycles.
     KeyframeId best = grandparent;
     int best_shared = 0;
     for (const CovisibilityEdge& e : covisibility_[i])
-      if (e.keyframe.value() < i && e.keyframe != removed && keyframe(e.keyframe).map == map && e.shared > best_shared) {
+      if (e.keyframe.value() < i && e.keyframe != removed && keyframe(e.keyframe).map == map &&
+          e.shared > best_shared) {
         best = e.keyframe;
         best_shared = e.shared;
       }
@@ -102,7 +105,8 @@ void Map::relink_children(KeyframeId removed) {
   }
 }
 
-LandmarkId Map::add_landmark(KeyframeId keyframe_id, std::uint32_t keypoint, const Vector3d& p_world) {
+LandmarkId Map::add_landmark(KeyframeId keyframe_id, std::uint32_t keypoint,
+                             const Vector3d& p_world) {
   const LandmarkId id(static_cast<std::uint32_t>(landmarks_.size()));
   Landmark l;
   l.anchor = keyframe_id;
@@ -133,13 +137,15 @@ void Map::remove_landmark(LandmarkId id) {
 }
 
 bool Map::add_observation(LandmarkId id, KeyframeId keyframe_id, std::uint32_t keypoint) {
-  if (!contains(id) || !contains(keyframe_id) || keyframe(keyframe_id).landmarks[keypoint].valid()) return false;
+  if (!contains(id) || !contains(keyframe_id) || keyframe(keyframe_id).landmarks[keypoint].valid())
+    return false;
   const auto& present = landmark(id).observations;
   const auto at = lower_bound_keyframe(present, keyframe_id);
   if (at != present.end() && at->keyframe == keyframe_id) return false;
   for (const Observation& o : present) change_shared(keyframe_id, o.keyframe, +1);
   auto& observations = landmarks_.mutate(id.value()).observations;
-  observations.insert(lower_bound_keyframe(observations, keyframe_id), Observation{keyframe_id, keypoint});
+  observations.insert(lower_bound_keyframe(observations, keyframe_id),
+                      Observation{keyframe_id, keypoint});
   keyframes_.mutate(keyframe_id.value()).landmarks[keypoint] = id;
   ++version_;
   return true;
@@ -160,7 +166,8 @@ void Map::remove_observation(LandmarkId id, KeyframeId keyframe_id, int min_obse
   l.observations.erase(it);
   for (const Observation& o : l.observations) change_shared(keyframe_id, o.keyframe, -1);
   if (l.anchor == keyframe_id) {
-    const Vector3d normal = keyframe(keyframe_id).state.T_world_body.rotation * l.normal_anchor.cast<double>();
+    const Vector3d normal =
+        keyframe(keyframe_id).state.T_world_body.rotation * l.normal_anchor.cast<double>();
     l.anchor = l.observations.front().keyframe;
     const SE3& T_world_anchor = keyframe(l.anchor).state.T_world_body;
     l.p_anchor = T_world_anchor.inverse() * p;
@@ -211,7 +218,8 @@ void Map::set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu) {
 void Map::refresh_landmark(LandmarkId id) {
   const Landmark& now = landmark(id);
   const Vector3d p = p_world(id);
-  // At most this many observers vote for the descriptor; the newest are the most like what comes next.
+  // At most this many observers vote for the descriptor; the newest are the most like what comes
+  // next.
   constexpr std::size_t kMaxVoters = 24;
   const std::size_t n = now.observations.size();
   const std::size_t voters = std::min(n, kMaxVoters);
@@ -222,13 +230,15 @@ void Map::refresh_landmark(LandmarkId id) {
   for (std::size_t i = 0; i < n; ++i) {
     const Observation& o = now.observations[i];
     normal_sum += (p - T_world_camera(o.keyframe).translation).normalized();
-    if (i + voters >= n) descriptors.push_back(keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
+    if (i + voters >= n)
+      descriptors.push_back(keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
   }
   std::size_t best = 0;
   int best_median = 257;
   std::vector<int> distances(descriptors.size());
   for (std::size_t i = 0; i < descriptors.size(); ++i) {
-    for (std::size_t j = 0; j < descriptors.size(); ++j) distances[j] = hamming_distance(descriptors[i], descriptors[j]);
+    for (std::size_t j = 0; j < descriptors.size(); ++j)
+      distances[j] = hamming_distance(descriptors[i], descriptors[j]);
     const auto middle = distances.begin() + static_cast<std::ptrdiff_t>((distances.size() - 1) / 2);
     std::nth_element(distances.begin(), middle, distances.end());
     if (*middle < best_median) {
@@ -237,9 +247,11 @@ void Map::refresh_landmark(LandmarkId id) {
     }
   }
 
-  const auto anchor_observation = std::find_if(now.observations.begin(), now.observations.end(),
-                                               [&](const Observation& o) { return o.keyframe == now.anchor; });
-  const std::uint8_t octave = keyframe(now.anchor).data->features->octave[anchor_observation->keypoint];
+  const auto anchor_observation =
+      std::find_if(now.observations.begin(), now.observations.end(),
+                   [&](const Observation& o) { return o.keyframe == now.anchor; });
+  const std::uint8_t octave =
+      keyframe(now.anchor).data->features->octave[anchor_observation->keypoint];
   const double distance = (p - T_world_camera(now.anchor).translation).norm();
   const Eigen::Quaterniond R_world_anchor = keyframe(now.anchor).state.T_world_body.rotation;
 

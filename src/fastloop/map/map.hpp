@@ -11,22 +11,26 @@ namespace fastloop::map {
 /// The map, held by one owner (the mapping worker). Everyone else reads `publish()`ed snapshots.
 ///
 /// Invariants, checked by `find_inconsistency`: observations and keyframe entries name each other;
-/// covisibility counts equal shared landmarks; anchors observe their landmark; links lead to live entities.
+/// covisibility counts equal shared landmarks; anchors observe their landmark; links lead to live
+/// entities.
 class Map : public Snapshot {
  public:
   Map(const StereoRig& rig, const PyramidScales& scales);
 
   /// Immutable copy of the present state.
-  std::shared_ptr<const Snapshot> publish() const { return std::make_shared<const Snapshot>(*this); }
+  std::shared_ptr<const Snapshot> publish() const {
+    return std::make_shared<const Snapshot>(*this);
+  }
 
   MapId start_map();
   MapInfo& mutable_info(MapId id) { return maps_[id.value()]; }
 
   /// Appends a keyframe to a map; it becomes the temporal successor of the map's last keyframe.
-  KeyframeId add_keyframe(MapId map, std::shared_ptr<const KeyframeData> data, const NavState& state,
+  KeyframeId add_keyframe(MapId map, std::shared_ptr<const KeyframeData> data,
+                          const NavState& state,
                           std::shared_ptr<const PreintegratedImu> imu_from_previous);
-  /// Removes a keyframe that is not the first of its map: observations dissolve, children get new parents,
-  /// IMU measurements of its two neighbours are joined.
+  /// Removes a keyframe that is not the first of its map: observations dissolve, children get new
+  /// parents, IMU measurements of its two neighbours are joined.
   void remove_keyframe(KeyframeId id);
 
   /// New landmark anchored in and observed by `keyframe`; the keypoint must be free.
@@ -44,9 +48,12 @@ class Map : public Snapshot {
   /// Rotates and moves one whole map: T_new_old applied to poses, velocities.
   void transform_map(MapId map, const SE3& T_new_old);
   void set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu);
-  void set_parent(KeyframeId child, KeyframeId parent) { keyframes_.mutate(child.value()).parent = parent; }
+  void set_parent(KeyframeId child, KeyframeId parent) {
+    keyframes_.mutate(child.value()).parent = parent;
+  }
 
-  /// Representative descriptor (least median distance to the others), viewing direction, distance range.
+  /// Representative descriptor (least median distance to the others), viewing direction, distance
+  /// range.
   void refresh_landmark(LandmarkId id);
   void count_visible(LandmarkId id, std::uint32_t visible, std::uint32_t found);
 

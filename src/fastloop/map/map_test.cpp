@@ -36,7 +36,8 @@ std::shared_ptr<const KeyframeData> random_data(std::mt19937& rng, Nanoseconds s
 
 std::shared_ptr<const PreintegratedImu> imu_between(Nanoseconds begin_ns, Nanoseconds end_ns) {
   const auto samples = synthetic::regular_samples(begin_ns, end_ns, 10'000'000);
-  return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, ImuBias{}, ImuCalibration{});
+  return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, ImuBias{},
+                                                  ImuCalibration{});
 }
 
 /// Everything a reader can see, mixed into one number.
@@ -63,7 +64,8 @@ std::uint64_t digest(const Snapshot& s) {
     for (const auto word : l.descriptor.words) mix(word);
     for (const Observation& o : l.observations) mix(o.keyframe), mix(o.keypoint);
   }
-  for (const MapInfo& m : s.maps()) mix(m.last_keyframe), mix(m.num_keyframes), mix(m.imu_initialized);
+  for (const MapInfo& m : s.maps())
+    mix(m.last_keyframe), mix(m.num_keyframes), mix(m.imu_initialized);
   return h;
 }
 
@@ -79,13 +81,17 @@ class RandomMap {
 
   void step() {
     switch (rng() % 16) {
-      case 0: return add_keyframe(MapId(rng() % 2));
-      case 1: return remove_some_keyframe();
-      case 2: return set_some_state();
+      case 0:
+        return add_keyframe(MapId(rng() % 2));
+      case 1:
+        return remove_some_keyframe();
+      case 2:
+        return set_some_state();
       case 3:
         if (rng() % 20 == 0) map.transform_map(MapId(rng() % 2), random_state(rng).T_world_body);
         return;
-      case 4: return merge();
+      case 4:
+        return merge();
       case 5:
         if (rng() % 2 == 0) map.remove_landmark(some_landmark());
         return;
@@ -108,8 +114,10 @@ class RandomMap {
         return;
       }
       case 9:
-      case 10: return add_landmark();
-      default: return add_observation();
+      case 10:
+        return add_landmark();
+      default:
+        return add_observation();
     }
   }
 
@@ -124,7 +132,9 @@ class RandomMap {
     }
   }
   LandmarkId some_landmark() {
-    return map.landmark_slots() ? LandmarkId(static_cast<std::uint32_t>(rng() % map.landmark_slots())) : LandmarkId{};
+    return map.landmark_slots()
+               ? LandmarkId(static_cast<std::uint32_t>(rng() % map.landmark_slots()))
+               : LandmarkId{};
   }
   KeyframeId observer(LandmarkId l) {
     const auto& observations = map.landmark(l).observations;
@@ -170,7 +180,8 @@ class RandomMap {
     if (!l.valid()) return;
     const auto& seen = map.landmark(l).observations;
     const bool possible = map.contains(l) && !map.keyframe(k).landmarks[keypoint].valid() &&
-                          std::none_of(seen.begin(), seen.end(), [&](const Observation& o) { return o.keyframe == k; });
+                          std::none_of(seen.begin(), seen.end(),
+                                       [&](const Observation& o) { return o.keyframe == k; });
     EXPECT_EQ(map.add_observation(l, k, keypoint), possible);
   }
   void merge() {
@@ -223,7 +234,8 @@ TEST(Map, CovisibilityEqualsTheSharedLandmarksOfBruteForce) {
       EXPECT_EQ(found[i].keyframe, expected[i].keyframe);
       EXPECT_EQ(found[i].shared, expected[i].shared);
     }
-    std::stable_sort(expected.begin(), expected.end(), [](const auto& x, const auto& y) { return x.shared > y.shared; });
+    std::stable_sort(expected.begin(), expected.end(),
+                     [](const auto& x, const auto& y) { return x.shared > y.shared; });
     const auto best = map.best_covisible(KeyframeId(a), 3);
     ASSERT_EQ(best.size(), std::min<std::size_t>(3, expected.size()));
     for (std::size_t i = 0; i < best.size(); ++i) EXPECT_EQ(best[i], expected[i].keyframe);
@@ -236,12 +248,15 @@ class MapOfChain : public ::testing::Test {
   MapOfChain() : map(testing::pinhole_rig(), PyramidScales()) {
     const MapId id = map.start_map();
     for (int i = 0; i < 6; ++i) {
-      const KeyframeId k = map.add_keyframe(id, random_data(rng, i * kStepNs), random_state(rng),
-                                            i ? imu_between((i - 1) * kStepNs, i * kStepNs) : nullptr);
+      const KeyframeId k =
+          map.add_keyframe(id, random_data(rng, i * kStepNs), random_state(rng),
+                           i ? imu_between((i - 1) * kStepNs, i * kStepNs) : nullptr);
       for (std::size_t j = 0; j < landmarks.size(); ++j)
-        if (landmarks.size() - j <= 8) map.add_observation(landmarks[j], k, static_cast<std::uint32_t>(j % 8));
+        if (landmarks.size() - j <= 8)
+          map.add_observation(landmarks[j], k, static_cast<std::uint32_t>(j % 8));
       for (std::uint32_t j = 0; j < 4; ++j)
-        if (!map.keyframe(k).landmarks[8 + j].valid()) landmarks.push_back(map.add_landmark(k, 8 + j, normal_vector(rng, 3)));
+        if (!map.keyframe(k).landmarks[8 + j].valid())
+          landmarks.push_back(map.add_landmark(k, 8 + j, normal_vector(rng, 3)));
       map.attach_to_spanning_tree(k);
     }
   }
@@ -298,7 +313,8 @@ TEST_F(MapOfChain, LandmarksMoveWithTheirAnchorAndOnlyWithIt) {
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     const bool follows = map.landmark(landmarks[i]).anchor == moved_keyframe;
     followed += follows;
-    EXPECT_LT((map.p_world(landmarks[i]) - (follows ? T_new_old * before[i] : before[i])).norm(), 1e-9);
+    EXPECT_LT((map.p_world(landmarks[i]) - (follows ? T_new_old * before[i] : before[i])).norm(),
+              1e-9);
   }
   EXPECT_GT(followed, 0);
 }
@@ -320,8 +336,13 @@ TEST_F(MapOfChain, TransformTurnsPosesVelocitiesAndLandmarksAlike) {
   const auto before = map.publish();
   map.transform_map(MapId(0), T);
   for (std::uint32_t k = 0; k < map.keyframe_slots(); ++k)
-    EXPECT_LT((T * before->T_world_body(KeyframeId(k))).local(map.T_world_body(KeyframeId(k))).norm(), 1e-9);
-  EXPECT_LT((map.keyframe(KeyframeId(1)).state.v_world - T.rotation * before->keyframe(KeyframeId(1)).state.v_world).norm(), 1e-12);
+    EXPECT_LT(
+        (T * before->T_world_body(KeyframeId(k))).local(map.T_world_body(KeyframeId(k))).norm(),
+        1e-9);
+  EXPECT_LT((map.keyframe(KeyframeId(1)).state.v_world -
+             T.rotation * before->keyframe(KeyframeId(1)).state.v_world)
+                .norm(),
+            1e-12);
   for (const LandmarkId l : landmarks)
     if (map.contains(l)) {
       EXPECT_LT((map.p_world(l) - T * before->p_world(l)).norm(), 1e-9);
@@ -333,7 +354,8 @@ TEST_F(MapOfChain, ResolveFollowsReplacementsToTheirEnd) {
   map.replace_landmark(landmarks[0], landmarks[1]);
   map.replace_landmark(landmarks[1], landmarks[2]);
   map.replace_landmark(landmarks[2], landmarks[3]);
-  for (int i = 0; i < 4; ++i) EXPECT_EQ(map.resolve(landmarks[static_cast<std::size_t>(i)]), landmarks[3]);
+  for (int i = 0; i < 4; ++i)
+    EXPECT_EQ(map.resolve(landmarks[static_cast<std::size_t>(i)]), landmarks[3]);
   const std::size_t left = map.num_landmarks();
   map.replace_landmark(landmarks[0], landmarks[3]);  // no landmark any more: nothing happens
   EXPECT_EQ(map.num_landmarks(), left);
@@ -367,7 +389,8 @@ TEST_F(MapOfChain, RepresentativeDescriptorHasLeastMedianDistance) {
   for (const LandmarkId l : landmarks) {
     const auto& seen = map.landmark(l).observations;
     std::vector<Descriptor> all;
-    for (const Observation& o : seen) all.push_back(map.keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
+    for (const Observation& o : seen)
+      all.push_back(map.keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
     const auto median = [&](const Descriptor& d) {
       std::vector<int> distances;
       for (const Descriptor& other : all) distances.push_back(hamming_distance(d, other));
@@ -388,7 +411,8 @@ TEST(Map, CheckIsSparseEnoughForTenThousandKeyframes) {
   for (std::uint32_t i = 0; i < 10'000; ++i) {
     const KeyframeId k = map.add_keyframe(id, data, random_state(rng), nullptr);
     for (std::uint32_t p = 0; p < recent.size(); ++p) map.add_observation(recent[p], k, p);
-    recent = {map.add_landmark(k, 10, normal_vector(rng, 3)), map.add_landmark(k, 11, normal_vector(rng, 3))};
+    recent = {map.add_landmark(k, 10, normal_vector(rng, 3)),
+              map.add_landmark(k, 11, normal_vector(rng, 3))};
     map.attach_to_spanning_tree(k);
   }
   EXPECT_FALSE(map.find_inconsistency());

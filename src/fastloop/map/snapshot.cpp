@@ -26,7 +26,8 @@ PixelObservation Snapshot::pixel(KeyframeId keyframe_id, std::uint32_t keypoint)
   return z;
 }
 
-std::vector<KeyframeId> Snapshot::best_covisible(KeyframeId id, std::size_t count, int min_shared) const {
+std::vector<KeyframeId> Snapshot::best_covisible(KeyframeId id, std::size_t count,
+                                                 int min_shared) const {
   std::vector<CovisibilityEdge> edges;
   for (const CovisibilityEdge& e : covisible(id))
     if (e.shared >= min_shared) edges.push_back(e);
@@ -34,7 +35,8 @@ std::vector<KeyframeId> Snapshot::best_covisible(KeyframeId id, std::size_t coun
     return a.shared != b.shared ? a.shared > b.shared : a.keyframe < b.keyframe;
   };
   const std::size_t n = std::min(count, edges.size());
-  std::partial_sort(edges.begin(), edges.begin() + static_cast<std::ptrdiff_t>(n), edges.end(), better);
+  std::partial_sort(edges.begin(), edges.begin() + static_cast<std::ptrdiff_t>(n), edges.end(),
+                    better);
   std::vector<KeyframeId> ids;
   for (std::size_t i = 0; i < n; ++i) ids.push_back(edges[i].keyframe);
   return ids;

@@ -21,11 +21,15 @@ class Snapshot {
 
   std::size_t keyframe_slots() const { return keyframes_.size(); }  ///< live and removed
   std::size_t landmark_slots() const { return landmarks_.size(); }
-  std::size_t num_keyframes() const { return num_keyframes_; }      ///< live
+  std::size_t num_keyframes() const { return num_keyframes_; }  ///< live
   std::size_t num_landmarks() const { return num_landmarks_; }
 
-  bool contains(KeyframeId id) const { return id.value() < keyframes_.size() && !keyframes_[id.value()].removed; }
-  bool contains(LandmarkId id) const { return id.value() < landmarks_.size() && !landmarks_[id.value()].removed(); }
+  bool contains(KeyframeId id) const {
+    return id.value() < keyframes_.size() && !keyframes_[id.value()].removed;
+  }
+  bool contains(LandmarkId id) const {
+    return id.value() < landmarks_.size() && !landmarks_[id.value()].removed();
+  }
   const Keyframe& keyframe(KeyframeId id) const { return keyframes_[id.value()]; }
   const Landmark& landmark(LandmarkId id) const { return landmarks_[id.value()]; }
 
@@ -45,9 +49,13 @@ class Snapshot {
   PixelObservation pixel(KeyframeId keyframe, std::uint32_t keypoint) const;
 
   /// All neighbours that share a landmark, ordered by id.
-  const std::vector<CovisibilityEdge>& covisible(KeyframeId id) const { return covisibility_[id.value()]; }
-  /// The `count` neighbours with most shared landmarks, at least `min_shared`; ties: lower id first.
-  std::vector<KeyframeId> best_covisible(KeyframeId id, std::size_t count, int min_shared = 1) const;
+  const std::vector<CovisibilityEdge>& covisible(KeyframeId id) const {
+    return covisibility_[id.value()];
+  }
+  /// The `count` neighbours with most shared landmarks, at least `min_shared`; ties: lower id
+  /// first.
+  std::vector<KeyframeId> best_covisible(KeyframeId id, std::size_t count,
+                                         int min_shared = 1) const;
   /// Landmarks of a keyframe that are seen by at least `min_observers` keyframes.
   int count_tracked(KeyframeId id, int min_observers) const;
 

@@ -8,8 +8,8 @@
 
 #include "fastloop/map/map.hpp"
 
-/// A world of points with descriptors and the features a stereo rig sees of it: known truth for the tests of
-/// map, mapping and tracking. Only tests include it.
+/// A world of points with descriptors and the features a stereo rig sees of it: known truth for the
+/// tests of map, mapping and tracking. Only tests include it.
 namespace fastloop::map::testing {
 
 inline Vector3d normal_vector(std::mt19937& rng, double sigma) {
@@ -79,8 +79,8 @@ struct ViewOptions {
   int clutter = 0;           ///< keypoints of nothing
 };
 
-inline void add_keypoint(SyntheticView& view, const Eigen::Vector2d& pixel, double right_x, double depth, int octave,
-                         const Descriptor& descriptor, int point) {
+inline void add_keypoint(SyntheticView& view, const Eigen::Vector2d& pixel, double right_x,
+                         double depth, int octave, const Descriptor& descriptor, int point) {
   FeatureSet& f = *view.features;
   f.x.push_back(static_cast<float>(pixel.x()));
   f.y.push_back(static_cast<float>(pixel.y()));
@@ -100,8 +100,8 @@ inline void finish(SyntheticView& view, const Camera& camera) {
   f.grid.build(f.x, f.y, camera.width, camera.height);
 }
 
-inline SyntheticView observe(const SyntheticWorld& world, const SE3& T_world_body, const ViewOptions& options,
-                             std::mt19937& rng) {
+inline SyntheticView observe(const SyntheticWorld& world, const SE3& T_world_body,
+                             const ViewOptions& options, std::mt19937& rng) {
   const Camera& camera = world.rig.left;
   const double fb = camera.fx * world.rig.baseline_m;
   const SE3 T_left_world = (T_world_body * world.rig.T_body_left).inverse();
@@ -111,26 +111,31 @@ inline SyntheticView observe(const SyntheticWorld& world, const SE3& T_world_bod
     const Vector3d p = T_left_world * world.points[i];
     if (!(p.z() > 0.3) || !camera.contains(camera.project(p))) continue;
     // A point is found at the octave that shows a patch of fixed size in metres.
-    const int octave = std::clamp(static_cast<int>(std::lround(std::log(8.0 / p.norm()) / std::log(1.2))), 0, 7);
+    const int octave =
+        std::clamp(static_cast<int>(std::lround(std::log(8.0 / p.norm()) / std::log(1.2))), 0, 7);
     const double sigma = options.noise_px * world.scales.scale[static_cast<std::size_t>(octave)];
     const Vector3d noise = normal_vector(rng, sigma);
     const Eigen::Vector2d pixel = camera.project(p) + noise.head<2>();
     double disparity = fb / p.z() + noise.z() - noise.x();
-    const bool stereo = u(rng) < options.stereo_share && p.z() < options.max_stereo_m && disparity > 0.1;
+    const bool stereo =
+        u(rng) < options.stereo_share && p.z() < options.max_stereo_m && disparity > 0.1;
     const Descriptor d = with_flipped_bits(world.descriptors[i], options.flipped_bits, rng);
     if (!camera.contains(pixel)) continue;
-    add_keypoint(view, pixel, stereo ? pixel.x() - disparity : NAN, fb / disparity, octave, d, static_cast<int>(i));
+    add_keypoint(view, pixel, stereo ? pixel.x() - disparity : NAN, fb / disparity, octave, d,
+                 static_cast<int>(i));
   }
   for (int i = 0; i < options.clutter; ++i) {
     const Eigen::Vector2d pixel(u(rng) * (camera.width - 1), u(rng) * (camera.height - 1));
     const double disparity = 2 + 30 * u(rng);
-    add_keypoint(view, pixel, pixel.x() - disparity, fb / disparity, static_cast<int>(rng() % 4), random_descriptor(rng), -1);
+    add_keypoint(view, pixel, pixel.x() - disparity, fb / disparity, static_cast<int>(rng() % 4),
+                 random_descriptor(rng), -1);
   }
   finish(view, camera);
   return view;
 }
 
-inline std::shared_ptr<const KeyframeData> keyframe_data(const SyntheticView& view, FrameId frame, Nanoseconds stamp_ns) {
+inline std::shared_ptr<const KeyframeData> keyframe_data(const SyntheticView& view, FrameId frame,
+                                                         Nanoseconds stamp_ns) {
   auto data = std::make_shared<KeyframeData>();
   data->frame = frame;
   data->stamp_ns = stamp_ns;
@@ -143,23 +148,26 @@ struct SyntheticMap {
   const SyntheticWorld& world;
   Map map;
   MapId id;
-  std::vector<LandmarkId> landmark_of;         ///< [points] invalid: not in the map yet
-  std::vector<SyntheticView> views;            ///< [keyframes]
-  std::vector<SE3> truth;                      ///< [keyframes] T_world_body
+  std::vector<LandmarkId> landmark_of;  ///< [points] invalid: not in the map yet
+  std::vector<SyntheticView> views;     ///< [keyframes]
+  std::vector<SE3> truth;               ///< [keyframes] T_world_body
   Nanoseconds interval_ns = 200'000'000;
 
   explicit SyntheticMap(const SyntheticWorld& w)
       : world(w), map(w.rig, w.scales), id(map.start_map()), landmark_of(w.points.size()) {}
 
-  /// Keyframe at its true pose; points it sees are added as landmarks (at their true place) or observed.
-  KeyframeId add(const SE3& T_world_body, const ViewOptions& options, std::mt19937& rng, double landmark_share = 1) {
+  /// Keyframe at its true pose; points it sees are added as landmarks (at their true place) or
+  /// observed.
+  KeyframeId add(const SE3& T_world_body, const ViewOptions& options, std::mt19937& rng,
+                 double landmark_share = 1) {
     std::uniform_real_distribution<double> u(0, 1);
     NavState state;
     state.T_world_body = T_world_body;
     views.push_back(observe(world, T_world_body, options, rng));
     truth.push_back(T_world_body);
     const auto n = static_cast<std::uint32_t>(map.keyframe_slots());
-    const KeyframeId k = map.add_keyframe(id, keyframe_data(views.back(), FrameId(n), n * interval_ns), state, nullptr);
+    const KeyframeId k = map.add_keyframe(
+        id, keyframe_data(views.back(), FrameId(n), n * interval_ns), state, nullptr);
     for (std::uint32_t i = 0; i < views.back().point.size(); ++i) {
       const int p = views.back().point[i];
       if (p < 0 || u(rng) >= landmark_share) continue;
@@ -175,6 +183,8 @@ struct SyntheticMap {
 };
 
 /// Pose looking along the x axis turned by `yaw` about z.
-inline SE3 pose_at(const Vector3d& position, double yaw) { return SE3(so3::exp({0, 0, yaw}), position); }
+inline SE3 pose_at(const Vector3d& position, double yaw) {
+  return SE3(so3::exp({0, 0, yaw}), position);
+}
 
 }  // namespace fastloop::map::testing

@@ -16,7 +16,8 @@ using map::testing::SyntheticWorld;
 class LocalAdjustment : public ::testing::Test {
  protected:
   LocalAdjustment() : world(1000, {5, 5, 2.5}, 1), m(world) {
-    for (int i = 0; i < 8; ++i) m.add(pose_at({0.05 * i, -0.2 * i, 0}, 0.03 * i), {.noise_px = 0, .flipped_bits = 0}, rng);
+    for (int i = 0; i < 8; ++i)
+      m.add(pose_at({0.05 * i, -0.2 * i, 0}, 0.03 * i), {.noise_px = 0, .flipped_bits = 0}, rng);
     options.adjustment_iterations = 20;
   }
   void disturb(double angle, double distance) {
@@ -32,7 +33,8 @@ class LocalAdjustment : public ::testing::Test {
   }
   double largest_pose_error() const {
     double worst = 0;
-    for (std::uint32_t k = 0; k < 8; ++k) worst = std::max(worst, m.truth[k].local(m.map.T_world_body(KeyframeId(k))).norm());
+    for (std::uint32_t k = 0; k < 8; ++k)
+      worst = std::max(worst, m.truth[k].local(m.map.T_world_body(KeyframeId(k))).norm());
     return worst;
   }
   std::mt19937 rng{1};
@@ -63,7 +65,8 @@ TEST_F(LocalAdjustment, RemovesWrongObservations) {
   std::vector<std::pair<LandmarkId, std::uint32_t>> wrong;
   for (std::uint32_t i = 0; i + 1 < landmarks.size() && wrong.size() < 5; i += 20) {
     const LandmarkId a = landmarks[i], b = landmarks[i + 1];
-    if (!a.valid() || !b.valid() || m.map.landmark(a).observations.size() < 4 || m.map.landmark(b).observations.size() < 4)
+    if (!a.valid() || !b.valid() || m.map.landmark(a).observations.size() < 4 ||
+        m.map.landmark(b).observations.size() < 4)
       continue;
     m.map.remove_observation(a, KeyframeId(5));
     m.map.remove_observation(b, KeyframeId(5));
@@ -137,7 +140,8 @@ struct InertialMap {
         }
         s.gyro += Vector3d(0.01, -0.02, 0.015);
       }
-      m.map.set_imu(k, std::make_shared<const PreintegratedImu>(samples, begin, end, ImuBias{}, ImuCalibration{}));
+      m.map.set_imu(k, std::make_shared<const PreintegratedImu>(samples, begin, end, ImuBias{},
+                                                                ImuCalibration{}));
     }
     m.map.transform_map(id, SE3(so3::exp({0.6, -0.4, 0.2}), Vector3d(0.3, 0.1, -0.2)));
   }

@@ -9,7 +9,8 @@ constexpr double kMinFoundRatio = 0.25;
 constexpr std::uint32_t kProbationKeyframes = 3;
 constexpr int kRedundantObservers = 3;
 constexpr std::size_t kCullCandidates = 15;
-constexpr std::size_t kProtectedRecent = 12;  ///< with IMU: the window of the local adjustment stays
+constexpr std::size_t kProtectedRecent =
+    12;  ///< with IMU: the window of the local adjustment stays
 
 /// Share of a keyframe's close landmarks that enough other keyframes see at least as finely.
 double redundant_share(const map::Map& map, KeyframeId id, float close_depth_m) {
@@ -22,7 +23,9 @@ double redundant_share(const map::Map& map, KeyframeId id, float close_depth_m) 
     int observers = 0;
     for (const map::Observation& o : map.landmark(k.landmarks[i]).observations) {
       if (o.keyframe == id) continue;
-      if (map.keyframe(o.keyframe).data->features->octave[o.keypoint] <= f.octave[i] + 1 && ++observers >= kRedundantObservers) break;
+      if (map.keyframe(o.keyframe).data->features->octave[o.keypoint] <= f.octave[i] + 1 &&
+          ++observers >= kRedundantObservers)
+        break;
     }
     redundant += observers >= kRedundantObservers;
   }
@@ -55,12 +58,14 @@ void LandmarkProbation::review(map::Map& map, KeyframeId newest) {
   young_ = std::move(still_young);
 }
 
-int cull_keyframes(map::Map& map, KeyframeId keyframe, bool inertial, const MappingOptions& options) {
+int cull_keyframes(map::Map& map, KeyframeId keyframe, bool inertial,
+                   const MappingOptions& options) {
   const map::MapInfo info = map.map_info(map.keyframe(keyframe).map);
   std::vector<KeyframeId> recent;
   if (options.use_imu) {
     KeyframeId k = keyframe;
-    for (std::size_t i = 0; i < kProtectedRecent && k.valid(); ++i, k = map.keyframe(k).previous) recent.push_back(k);
+    for (std::size_t i = 0; i < kProtectedRecent && k.valid(); ++i, k = map.keyframe(k).previous)
+      recent.push_back(k);
   }
   const double limit = inertial ? options.redundant_share_inertial : options.redundant_share;
   const auto close = static_cast<float>(options.close_depth_baselines * map.rig().baseline_m);

@@ -22,7 +22,8 @@ class Culling : public ::testing::Test {
       if (i == 0) continue;
       const Nanoseconds begin = (i - 1) * m.interval_ns, end = i * m.interval_ns;
       const auto samples = synthetic::regular_samples(begin, end, 10'000'000);
-      m.map.set_imu(k, std::make_shared<const PreintegratedImu>(samples, begin, end, ImuBias{}, ImuCalibration{}));
+      m.map.set_imu(k, std::make_shared<const PreintegratedImu>(samples, begin, end, ImuBias{},
+                                                                ImuCalibration{}));
     }
     options.close_depth_baselines = 100;
   }
@@ -63,8 +64,10 @@ TEST_F(Culling, HonoursTheImuGapAndTheRecentKeyframes) {
     const auto& imu = m.map.keyframe(k).imu_from_previous;
     ASSERT_TRUE(imu);
     EXPECT_LT(imu->duration_s(), 1);
-    EXPECT_NEAR(imu->duration_s(), to_seconds(m.map.keyframe(k).data->stamp_ns) -
-                                       to_seconds(m.map.keyframe(m.map.keyframe(k).previous).data->stamp_ns), 1e-9);
+    EXPECT_NEAR(imu->duration_s(),
+                to_seconds(m.map.keyframe(k).data->stamp_ns) -
+                    to_seconds(m.map.keyframe(m.map.keyframe(k).previous).data->stamp_ns),
+                1e-9);
   }
   EXPECT_FALSE(m.map.find_inconsistency());
 }

@@ -25,7 +25,8 @@ std::vector<KeyframeId> inertial_chain(const map::Map& map, MapId id) {
   return chain;
 }
 
-optimization::InertialInitProblem make_problem(const map::Map& map, const std::vector<KeyframeId>& chain, int stage) {
+optimization::InertialInitProblem make_problem(const map::Map& map,
+                                               const std::vector<KeyframeId>& chain, int stage) {
   optimization::InertialInitProblem problem;
   const bool first = stage == 0;
   problem.guess_gravity = first;
@@ -40,27 +41,32 @@ optimization::InertialInitProblem make_problem(const map::Map& map, const std::v
   return problem;
 }
 
-void apply(map::Map& map, MapId id, const std::vector<KeyframeId>& chain, const optimization::InertialInitResult& r) {
+void apply(map::Map& map, MapId id, const std::vector<KeyframeId>& chain,
+           const optimization::InertialInitResult& r) {
   for (std::size_t i = 0; i < chain.size(); ++i) {
     NavState state = map.keyframe(chain[i]).state;
     state.v_world = r.v_world[i];
     state.bias = r.bias;
     map.set_state(chain[i], state);
-    if (i > 0) map.set_imu(chain[i], std::make_shared<PreintegratedImu>(map.keyframe(chain[i]).imu_from_previous->rebased(r.bias)));
+    if (i > 0)
+      map.set_imu(chain[i], std::make_shared<PreintegratedImu>(
+                                map.keyframe(chain[i]).imu_from_previous->rebased(r.bias)));
   }
   map.transform_map(id, SE3(Matrix3d(r.R_world_gravity.transpose()), Vector3d::Zero()));
 }
 
 }  // namespace
 
-ImuStep align_to_imu(map::Map& map, MapId id, const MappingOptions& options, const std::atomic<bool>* cancel) {
+ImuStep align_to_imu(map::Map& map, MapId id, const MappingOptions& options,
+                     const std::atomic<bool>* cancel) {
   ImuStep step;
   const map::MapInfo& info = map.map_info(id);
   const int stage = info.imu_initialized ? 1 + info.imu_refinements : 0;
   if (stage > 2) return step;
   const std::vector<KeyframeId> chain = inertial_chain(map, id);
   if (static_cast<int>(chain.size()) < options.imu_min_keyframes) return step;
-  step.seconds = to_seconds(map.keyframe(chain.back()).data->stamp_ns - map.keyframe(chain.front()).data->stamp_ns);
+  step.seconds = to_seconds(map.keyframe(chain.back()).data->stamp_ns -
+                            map.keyframe(chain.front()).data->stamp_ns);
   const double needed = stage == 0   ? options.imu_min_seconds
                         : stage == 1 ? options.imu_refine_first_s
                                      : options.imu_refine_second_s;
@@ -68,7 +74,8 @@ ImuStep align_to_imu(map::Map& map, MapId id, const MappingOptions& options, con
 
   const auto result = optimization::initialize_inertial(make_problem(map, chain, stage));
   step.gravity_stddev_rad = result.gravity_stddev_rad;
-  if (!result.success || result.bias.gyro.norm() > kMaxGyroBias || result.bias.accel.norm() > kMaxAccelBias) {
+  if (!result.success || result.bias.gyro.norm() > kMaxGyroBias ||
+      result.bias.accel.norm() > kMaxAccelBias) {
     step.kind = ImuStep::Kind::kFailed;
     step.reason = result.success ? "the estimated bias is implausible" : result.reason;
     // A failed refinement is not tried again: the state in use is consistent.
@@ -82,7 +89,8 @@ ImuStep align_to_imu(map::Map& map, MapId id, const MappingOptions& options, con
     ++map.mutable_info(id).imu_refinements;
   adjust_whole_map(map, id, true, kFirstAdjustmentIterations, options, cancel);
   step.kind = stage == 0 ? ImuStep::Kind::kInitialised : ImuStep::Kind::kRefined;
-  step.reason = std::to_string(chain.size()) + " keyframes over " + std::to_string(step.seconds) + " s";
+  step.reason =
+      std::to_string(chain.size()) + " keyframes over " + std::to_string(step.seconds) + " s";
   return step;
 }
 

@@ -10,7 +10,7 @@ namespace fastloop::mapping {
 namespace {
 
 constexpr double kMaxParallaxCosine = 0.9998;  ///< rays closer than about a degree give no depth
-constexpr double kScaleTolerance = 1.5;        ///< times the scale factor: octaves must fit the distances
+constexpr double kScaleTolerance = 1.5;  ///< times the scale factor: octaves must fit the distances
 
 /// One keyframe of a pair to triangulate between.
 struct View {
@@ -20,9 +20,14 @@ struct View {
   SE3 T_world_camera;
 
   View(const map::Map& m, KeyframeId k)
-      : map(m), id(k), features(*m.keyframe(k).data->features), T_world_camera(m.T_world_camera(k)) {}
+      : map(m),
+        id(k),
+        features(*m.keyframe(k).data->features),
+        T_world_camera(m.T_world_camera(k)) {}
 
-  Vector3d ray(std::uint32_t i) const { return map.rig().left.unproject({features.x[i], features.y[i]}); }
+  Vector3d ray(std::uint32_t i) const {
+    return map.rig().left.unproject({features.x[i], features.y[i]});
+  }
   Vector3d stereo_point(std::uint32_t i) const {
     const Vector3d r = ray(i);
     return T_world_camera * Vector3d(r * (features.depth_m[i] / r.z()));
@@ -36,13 +41,16 @@ struct View {
     StereoRig::Residual r;
     const PixelObservation z = map.pixel(id, i);
     const int n = map.rig().residual(T_world_camera.inverse() * p_world, z, &r);
-    return n > 0 && r.head(n).squaredNorm() < chi2_gate(n) * map.scales().sigma2[features.octave[i]];
+    return n > 0 &&
+           r.head(n).squaredNorm() < chi2_gate(n) * map.scales().sigma2[features.octave[i]];
   }
-  double distance(const Vector3d& p_world) const { return (p_world - T_world_camera.translation).norm(); }
+  double distance(const Vector3d& p_world) const {
+    return (p_world - T_world_camera.translation).norm();
+  }
 };
 
-/// The point of a pair of keypoints from whatever sees it under the largest angle: the two keyframes, or
-/// the stereo of one of them.
+/// The point of a pair of keypoints from whatever sees it under the largest angle: the two
+/// keyframes, or the stereo of one of them.
 std::optional<Vector3d> locate(const View& a, std::uint32_t i, const View& b, std::uint32_t j) {
   const SE3 T_b_a = b.T_world_camera.inverse() * a.T_world_camera;
   const double cosine = parallax_cosine(a.ray(i), b.ray(j), T_b_a.rotation);
@@ -73,7 +81,8 @@ std::vector<std::uint8_t> occupied(const map::Keyframe& k) {
 
 }  // namespace
 
-std::vector<LandmarkId> create_from_stereo(map::Map& map, KeyframeId id, const MappingOptions& options) {
+std::vector<LandmarkId> create_from_stereo(map::Map& map, KeyframeId id,
+                                           const MappingOptions& options) {
   const map::Keyframe& k = map.keyframe(id);
   const std::shared_ptr<const FeatureSet> features = k.data->features;
   const StereoRig& rig = map.rig();
@@ -96,21 +105,30 @@ std::vector<LandmarkId> create_from_stereo(map::Map& map, KeyframeId id, const M
   return created;
 }
 
-std::vector<LandmarkId> create_by_triangulation(map::Map& map, KeyframeId id, const MappingOptions& options) {
+std::vector<LandmarkId> create_by_triangulation(map::Map& map, KeyframeId id,
+                                                const MappingOptions& options) {
   std::vector<LandmarkId> created;
   const View here(map, id);
   const matching::Bearings bearings = matching::compute_bearings(map.rig().left, here.features);
   for (const KeyframeId neighbour : map.best_covisible(id, options.triangulation_neighbours)) {
     const View there(map, neighbour);
-    if ((there.T_world_camera.translation - here.T_world_camera.translation).norm() < map.rig().baseline_m) continue;
-    const std::vector<std::uint8_t> taken_here = occupied(map.keyframe(id)), taken_there = occupied(map.keyframe(neighbour));
-    matching::TriangulationSide first{{&here.features, nullptr, taken_here}, here.T_world_camera.inverse(), &bearings};
-    matching::TriangulationSide second{{&there.features, nullptr, taken_there}, there.T_world_camera.inverse(), nullptr};
-    for (const matching::IndexPair& pair :
-         matching::search_for_triangulation(Executor::cpu(), map.rig(), map.scales(), first, second)) {
-      const auto i = static_cast<std::uint32_t>(pair.first), j = static_cast<std::uint32_t>(pair.second);
+    if ((there.T_world_camera.translation - here.T_world_camera.translation).norm() <
+        map.rig().baseline_m)
+      continue;
+    const std::vector<std::uint8_t> taken_here = occupied(map.keyframe(id)),
+                                    taken_there = occupied(map.keyframe(neighbour));
+    matching::TriangulationSide first{
+        {&here.features, nullptr, taken_here}, here.T_world_camera.inverse(), &bearings};
+    matching::TriangulationSide second{
+        {&there.features, nullptr, taken_there}, there.T_world_camera.inverse(), nullptr};
+    for (const matching::IndexPair& pair : matching::search_for_triangulation(
+             Executor::cpu(), map.rig(), map.scales(), first, second)) {
+      const auto i = static_cast<std::uint32_t>(pair.first),
+                 j = static_cast<std::uint32_t>(pair.second);
       const auto p = locate(here, i, there, j);
-      if (!p || !p->allFinite() || !here.agrees(i, *p) || !there.agrees(j, *p) || !scale_fits(here, i, there, j, *p)) continue;
+      if (!p || !p->allFinite() || !here.agrees(i, *p) || !there.agrees(j, *p) ||
+          !scale_fits(here, i, there, j, *p))
+        continue;
       const LandmarkId landmark = map.add_landmark(id, i, *p);
       map.add_observation(landmark, neighbour, j);
       map.refresh_landmark(landmark);

@@ -23,10 +23,13 @@ struct LandmarkArrays {
       descriptor.push_back(l.descriptor);
     }
   }
-  matching::LandmarkView view() const { return {p_world, normal, min_distance, max_distance, descriptor}; }
+  matching::LandmarkView view() const {
+    return {p_world, normal, min_distance, max_distance, descriptor};
+  }
 };
 
-std::vector<LandmarkId> landmarks_of(const map::Map& map, const std::vector<KeyframeId>& keyframes) {
+std::vector<LandmarkId> landmarks_of(const map::Map& map,
+                                     const std::vector<KeyframeId>& keyframes) {
   std::vector<LandmarkId> ids;
   for (const KeyframeId k : keyframes)
     for (const LandmarkId id : map.keyframe(k).landmarks)
@@ -36,8 +39,10 @@ std::vector<LandmarkId> landmarks_of(const map::Map& map, const std::vector<Keyf
   return ids;
 }
 
-/// Searches the landmarks in all keyframes at once and applies what was found, keyframe by keyframe.
-int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes, const std::vector<LandmarkId>& ids) {
+/// Searches the landmarks in all keyframes at once and applies what was found, keyframe by
+/// keyframe.
+int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes,
+              const std::vector<LandmarkId>& ids) {
   if (keyframes.empty() || ids.empty()) return 0;
   const LandmarkArrays arrays(map, ids);
   std::vector<std::vector<std::uint8_t>> skipped(keyframes.size());
@@ -46,7 +51,8 @@ int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes, const std
     skipped[t].assign(ids.size(), 0);
     for (const LandmarkId seen : map.keyframe(keyframes[t]).landmarks) {
       const auto it = seen.valid() ? std::lower_bound(ids.begin(), ids.end(), seen) : ids.end();
-      if (it != ids.end() && *it == seen) skipped[t][static_cast<std::size_t>(it - ids.begin())] = 1;
+      if (it != ids.end() && *it == seen)
+        skipped[t][static_cast<std::size_t>(it - ids.begin())] = 1;
     }
     targets[t].features = map.keyframe(keyframes[t]).data->features.get();
     targets[t].T_camera_world = map.T_world_camera(keyframes[t]).inverse();
@@ -58,7 +64,8 @@ int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes, const std
   rule.chi2_gate_mono = 5.99f;
   rule.chi2_gate_stereo = 7.8f;
   std::vector<matching::ProjectionMatches> found(targets.size());
-  matching::search_by_projection(Executor::cpu(), map.rig(), map.scales(), targets, arrays.view(), rule, found);
+  matching::search_by_projection(Executor::cpu(), map.rig(), map.scales(), targets, arrays.view(),
+                                 rule, found);
 
   int changes = 0;
   for (std::size_t t = 0; t < keyframes.size(); ++t)
@@ -71,7 +78,8 @@ int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes, const std
       if (!there.valid()) {
         changes += map.add_observation(id, keyframes[t], keypoint);
       } else if (there != id) {
-        const bool keep_there = map.landmark(there).observations.size() > map.landmark(id).observations.size();
+        const bool keep_there =
+            map.landmark(there).observations.size() > map.landmark(id).observations.size();
         map.replace_landmark(keep_there ? id : there, keep_there ? there : id);
         ++changes;
       }
@@ -86,10 +94,12 @@ int fuse_with_neighbours(map::Map& map, KeyframeId keyframe, const MappingOption
   const std::size_t direct = neighbours.size();
   for (std::size_t i = 0; i < direct; ++i)
     for (const KeyframeId second : map.best_covisible(neighbours[i], 3))
-      if (second != keyframe && std::find(neighbours.begin(), neighbours.end(), second) == neighbours.end())
+      if (second != keyframe &&
+          std::find(neighbours.begin(), neighbours.end(), second) == neighbours.end())
         neighbours.push_back(second);
   const KeyframeId previous = map.keyframe(keyframe).previous;
-  if (previous.valid() && std::find(neighbours.begin(), neighbours.end(), previous) == neighbours.end())
+  if (previous.valid() &&
+      std::find(neighbours.begin(), neighbours.end(), previous) == neighbours.end())
     neighbours.push_back(previous);
 
   int changes = fuse_into(map, neighbours, landmarks_of(map, {keyframe}));

@@ -18,13 +18,16 @@ using map::testing::ViewOptions;
 const Vector3d kRoom(5, 5, 2.5);
 
 /// The world point a keypoint of a keyframe shows.
-int point_of(const SyntheticMap& m, const map::Observation& o) { return m.views[o.keyframe.value()].point[o.keypoint]; }
+int point_of(const SyntheticMap& m, const map::Observation& o) {
+  return m.views[o.keyframe.value()].point[o.keypoint];
+}
 
 TEST(CreateFromStereo, TakesAllClosePointsAtTheirPlace) {
   std::mt19937 rng(1);
   const SyntheticWorld world(1500, kRoom, 1);
   SyntheticMap m(world);
-  const KeyframeId k = m.add(pose_at({0, 0, 0}, 0.3), {.noise_px = 0, .stereo_share = 0.7}, rng, 0.3);
+  const KeyframeId k =
+      m.add(pose_at({0, 0, 0}, 0.3), {.noise_px = 0, .stereo_share = 0.7}, rng, 0.3);
   const MappingOptions options;
   const float close = static_cast<float>(options.close_depth_baselines * world.rig.baseline_m);
   const std::vector<LandmarkId> before = m.map.keyframe(k).landmarks;
@@ -40,7 +43,10 @@ TEST(CreateFromStereo, TakesAllClosePointsAtTheirPlace) {
       ++close_points;
       EXPECT_TRUE(l.valid());
     }
-    if (l.valid()) EXPECT_LT((m.map.p_world(l) - world.points[static_cast<std::size_t>(m.views[0].point[i])]).norm(), 5e-3);
+    if (l.valid())
+      EXPECT_LT(
+          (m.map.p_world(l) - world.points[static_cast<std::size_t>(m.views[0].point[i])]).norm(),
+          5e-3);
   }
   EXPECT_GT(close_points, 20);
   EXPECT_FALSE(m.map.find_inconsistency());
@@ -115,7 +121,8 @@ TEST(FuseWithNeighbours, MergesDuplicatesAndNothingElse) {
   m.add(pose_at({0, 0, 0}, 0), view, rng);
   m.add(pose_at({0, -0.2, 0}, 0), view, rng);
   const std::vector<LandmarkId> first = m.landmark_of;
-  std::fill(m.landmark_of.begin() + 200, m.landmark_of.end(), LandmarkId{});  // the third creates them again
+  std::fill(m.landmark_of.begin() + 200, m.landmark_of.end(),
+            LandmarkId{});  // the third creates them again
   const KeyframeId k = m.add(pose_at({0, -0.4, 0}, 0), view, rng);
   const std::vector<LandmarkId> second = m.landmark_of;
   EXPECT_GT(fuse_with_neighbours(m.map, k, {}), 100);
@@ -141,7 +148,8 @@ TEST(FuseWithNeighbours, KeepsWhatIsThreeMetresApart) {
   const SyntheticWorld near_world(600, {3, 3, 2}, 6);
   const SE3 T(pose_at({0, 0, 0}, 0));
   SyntheticWorld far_world = near_world;
-  for (Vector3d& p : far_world.points) p += 3 * (p - (T * near_world.rig.T_body_left).translation).normalized();
+  for (Vector3d& p : far_world.points)
+    p += 3 * (p - (T * near_world.rig.T_body_left).translation).normalized();
   const ViewOptions view{.noise_px = 0.2, .flipped_bits = 2};
   SyntheticMap near_map(near_world);
   near_map.add(T, view, rng);
@@ -149,7 +157,8 @@ TEST(FuseWithNeighbours, KeepsWhatIsThreeMetresApart) {
   map::Map& map = near_map.map;
   NavState state;
   state.T_world_body = T;
-  const KeyframeId k = map.add_keyframe(near_map.id, keyframe_data(other, FrameId(1), 200'000'000), state, nullptr);
+  const KeyframeId k =
+      map.add_keyframe(near_map.id, keyframe_data(other, FrameId(1), 200'000'000), state, nullptr);
   std::size_t created = 0;
   for (std::uint32_t i = 0; i < other.point.size(); ++i, ++created)
     map.add_landmark(k, i, far_world.points[static_cast<std::size_t>(other.point[i])]);

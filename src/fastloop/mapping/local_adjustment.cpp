@@ -13,7 +13,8 @@ bool is_in(const std::vector<KeyframeId>& list, KeyframeId id) {
 }
 
 /// Keyframes outside `free` that see most landmarks of `free`.
-std::vector<KeyframeId> best_outside(const map::Map& map, const std::vector<KeyframeId>& free, std::size_t count) {
+std::vector<KeyframeId> best_outside(const map::Map& map, const std::vector<KeyframeId>& free,
+                                     std::size_t count) {
   std::vector<int> shared(map.keyframe_slots(), 0);
   for (const KeyframeId k : free)
     for (const map::CovisibilityEdge& e : map.covisible(k)) shared[e.keyframe.value()] += e.shared;
@@ -31,7 +32,8 @@ std::vector<KeyframeId> best_outside(const map::Map& map, const std::vector<Keyf
 }  // namespace
 
 MapAdjustment::MapAdjustment(const map::Map& map, const std::vector<KeyframeId>& free,
-                             const std::vector<KeyframeId>& fixed, bool inertial, std::size_t max_points) {
+                             const std::vector<KeyframeId>& fixed, bool inertial,
+                             std::size_t max_points) {
   problem_.rig = map.rig();
   add_poses(map, free, fixed);
   add_points(map, free.size(), max_points);
@@ -67,7 +69,8 @@ void MapAdjustment::add_points(const map::Map& map, std::size_t num_free, std::s
   landmarks_ = std::move(ids);
 
   std::unordered_map<std::uint32_t, int> pose_of;
-  for (std::size_t i = 0; i < keyframes_.size(); ++i) pose_of[keyframes_[i].value()] = static_cast<int>(i);
+  for (std::size_t i = 0; i < keyframes_.size(); ++i)
+    pose_of[keyframes_[i].value()] = static_cast<int>(i);
   for (std::size_t p = 0; p < landmarks_.size(); ++p) {
     problem_.points.push_back(map.p_world(landmarks_[p]));
     for (const map::Observation& o : map.landmark(landmarks_[p]).observations) {
@@ -92,8 +95,10 @@ void MapAdjustment::add_imu_edges(const map::Map& map) {
     const auto it = std::find(keyframes_.begin(), keyframes_.end(), k.previous);
     if (it == keyframes_.end()) continue;
     const auto from = static_cast<int>(it - keyframes_.begin());
-    const bool both_fixed = problem_.poses[to].pose_fixed && problem_.poses[static_cast<std::size_t>(from)].pose_fixed;
-    if (!both_fixed) problem_.imu_edges.push_back({from, static_cast<int>(to), k.imu_from_previous});
+    const bool both_fixed =
+        problem_.poses[to].pose_fixed && problem_.poses[static_cast<std::size_t>(from)].pose_fixed;
+    if (!both_fixed)
+      problem_.imu_edges.push_back({from, static_cast<int>(to), k.imu_from_previous});
   }
 }
 
@@ -106,7 +111,8 @@ void MapAdjustment::apply(map::Map& map, const optimization::BundleResult& resul
     const optimization::BundlePose& pose = problem_.poses[i];
     if (!pose.pose_fixed || !pose.motion_fixed) map.set_state(keyframes_[i], pose.state);
   }
-  for (std::size_t p = 0; p < landmarks_.size(); ++p) map.set_p_world(landmarks_[p], problem_.points[p]);
+  for (std::size_t p = 0; p < landmarks_.size(); ++p)
+    map.set_p_world(landmarks_[p], problem_.points[p]);
   for (std::size_t i = 0; i < seen_.size(); ++i) {
     if (!result.outlier[i]) continue;
     const LandmarkId id = landmarks_[static_cast<std::size_t>(problem_.observations[i].point)];
@@ -115,11 +121,13 @@ void MapAdjustment::apply(map::Map& map, const optimization::BundleResult& resul
 }
 
 optimization::BundleResult adjust_locally(map::Map& map, KeyframeId keyframe, bool inertial,
-                                          const MappingOptions& options, const std::atomic<bool>* cancel) {
+                                          const MappingOptions& options,
+                                          const std::atomic<bool>* cancel) {
   std::vector<KeyframeId> free{keyframe}, fixed;
   const KeyframeId first = map.map_info(map.keyframe(keyframe).map).first_keyframe;
   if (inertial) {
-    while (free.size() < options.window_keyframes_inertial && map.keyframe(free.back()).previous.valid())
+    while (free.size() < options.window_keyframes_inertial &&
+           map.keyframe(free.back()).previous.valid())
       free.push_back(map.keyframe(free.back()).previous);
     const KeyframeId before = map.keyframe(free.back()).previous;
     if (before.valid()) {
@@ -151,10 +159,12 @@ optimization::BundleResult adjust_locally(map::Map& map, KeyframeId keyframe, bo
 }
 
 optimization::BundleResult adjust_whole_map(map::Map& map, MapId id, bool inertial, int iterations,
-                                            const MappingOptions& options, const std::atomic<bool>* cancel) {
+                                            const MappingOptions& options,
+                                            const std::atomic<bool>* cancel) {
   std::vector<KeyframeId> free;
   for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i)
-    if (map.contains(KeyframeId(i)) && map.keyframe(KeyframeId(i)).map == id) free.push_back(KeyframeId(i));
+    if (map.contains(KeyframeId(i)) && map.keyframe(KeyframeId(i)).map == id)
+      free.push_back(KeyframeId(i));
   std::vector<KeyframeId> fixed;
   if (!inertial && !free.empty()) {
     fixed.push_back(free.front());

@@ -15,15 +15,16 @@ void MappingOptions::validate() const {
     if (!ok) throw InvalidArgument(std::string("MappingOptions::") + what);
   };
   require(close_depth_baselines > 0, "close_depth_baselines must be positive");
-  require(window_keyframes >= 2 && window_keyframes_inertial >= 2, "window_keyframes must be at least 2");
+  require(window_keyframes >= 2 && window_keyframes_inertial >= 2,
+          "window_keyframes must be at least 2");
   require(adjustment_iterations >= 1, "adjustment_iterations must be at least 1");
   require(threads >= 1, "threads must be at least 1");
   require(redundant_share > 0 && redundant_share_inertial > 0, "redundant_share must be positive");
   require(imu_min_keyframes >= 3, "imu_min_keyframes must be at least 3");
 }
 
-Mapper::Mapper(const StereoRig& rig, const PyramidScales& scales, const MappingOptions& options, Callbacks callbacks,
-               StageTimes* times)
+Mapper::Mapper(const StereoRig& rig, const PyramidScales& scales, const MappingOptions& options,
+               Callbacks callbacks, StageTimes* times)
     : options_(options), callbacks_(std::move(callbacks)), times_(times), map_(rig, scales) {
   options_.validate();
 }

@@ -13,17 +13,18 @@
 
 namespace fastloop::mapping {
 
-/// Owner of the map: turns requests into keyframes, creates, merges and culls landmarks, adjusts the
-/// surroundings, initialises the IMU. Synchronous; one thread at a time.
+/// Owner of the map: turns requests into keyframes, creates, merges and culls landmarks, adjusts
+/// the surroundings, initialises the IMU. Synchronous; one thread at a time.
 class Mapper {
  public:
   struct Callbacks {
-    std::function<void(std::shared_ptr<const map::Snapshot>)> publish;        ///< a new version is ready
-    std::function<void(Nanoseconds stamp_ns, const ImuStep&)> imu_event;       ///< IMU initialised, refined, failed
+    std::function<void(std::shared_ptr<const map::Snapshot>)> publish;  ///< a new version is ready
+    std::function<void(Nanoseconds stamp_ns, const ImuStep&)>
+        imu_event;  ///< IMU initialised, refined, failed
   };
   /// @param times  may be null; stages "insert", "create", "fuse", "adjust", "cull", "imu"
-  Mapper(const StereoRig& rig, const PyramidScales& scales, const MappingOptions& options, Callbacks callbacks,
-         StageTimes* times);
+  Mapper(const StereoRig& rig, const PyramidScales& scales, const MappingOptions& options,
+         Callbacks callbacks, StageTimes* times);
 
   /// @param more_waiting  further requests are queued: optional work is skipped
   void process(const map::KeyframeRequest& request, bool more_waiting);

@@ -17,11 +17,13 @@ constexpr Nanoseconds kStepNs = 200'000'000;
 /// A tracker that knows the truth: requests with the right landmarks and nearly the right poses.
 class Oracle {
  public:
-  explicit Oracle(bool use_imu) : use_imu_(use_imu), world(1500, {6, 6, 3}, 4), landmark_of_(world.points.size()) {}
+  explicit Oracle(bool use_imu)
+      : use_imu_(use_imu), world(1500, {6, 6, 3}, 4), landmark_of_(world.points.size()) {}
 
   map::KeyframeRequest request(bool starts_map, std::uint32_t slots) {
     const Nanoseconds stamp = step_ * kStepNs;
-    views_.push_back(map::testing::observe(world, truth(step_), {.noise_px = 0.3, .clutter = 30}, rng_));
+    views_.push_back(
+        map::testing::observe(world, truth(step_), {.noise_px = 0.3, .clutter = 30}, rng_));
     const SyntheticView& view = views_.back();
     map::KeyframeRequest r;
     r.id = KeyframeId(slots);
@@ -33,7 +35,8 @@ class Oracle {
       origin_ = truth(step_);
     } else {
       for (std::size_t i = 0; i < view.point.size(); ++i)
-        if (view.point[i] >= 0) r.landmarks[i] = landmark_of_[static_cast<std::size_t>(view.point[i])];
+        if (view.point[i] >= 0)
+          r.landmarks[i] = landmark_of_[static_cast<std::size_t>(view.point[i])];
       for (const LandmarkId l : r.landmarks)
         if (l.valid() && r.sightings.size() < 50) r.sightings.push_back({l, 3, 2});
       r.reference = reference_;
@@ -42,8 +45,8 @@ class Oracle {
       r.T_reference_body = (truth(step_ - 1).inverse() * truth(step_)).retract(d);
       if (use_imu_) {
         const auto samples = synthetic::regular_samples(stamp - kStepNs, stamp, 5'000'000);
-        r.imu_from_previous =
-            std::make_shared<const PreintegratedImu>(samples, stamp - kStepNs, stamp, ImuBias{}, ImuCalibration{});
+        r.imu_from_previous = std::make_shared<const PreintegratedImu>(
+            samples, stamp - kStepNs, stamp, ImuBias{}, ImuCalibration{});
       }
     }
     r.state.T_world_body = expected();
@@ -106,7 +109,8 @@ TEST_P(MapperSequence, KeepsTheMapConsistentAndThePosesRight) {
     std::vector<double> errors;
     for (std::uint32_t k = 0; k < kSecondMapAt; ++k) {
       const SE3 expected = Oracle::truth(0).inverse() * Oracle::truth(static_cast<int>(k));
-      const SE3 found = mapper.map().T_world_body(KeyframeId(0)).inverse() * mapper.map().T_world_body(KeyframeId(k));
+      const SE3 found = mapper.map().T_world_body(KeyframeId(0)).inverse() *
+                        mapper.map().T_world_body(KeyframeId(k));
       errors.push_back(expected.local(found).norm());
     }
     EXPECT_LT(*std::max_element(errors.begin(), errors.end()), 0.05);
@@ -114,7 +118,8 @@ TEST_P(MapperSequence, KeepsTheMapConsistentAndThePosesRight) {
   EXPECT_EQ(mapper.map().maps().size(), 2u);
   EXPECT_GT(mapper.map().num_landmarks(), 300u);
   EXPECT_EQ(mapper.map().map_info(MapId(0)).imu_initialized, GetParam());
-  EXPECT_EQ(std::any_of(steps.begin(), steps.end(), [](const ImuStep& s) { return s.kind == ImuStep::Kind::kInitialised; }),
+  EXPECT_EQ(std::any_of(steps.begin(), steps.end(),
+                        [](const ImuStep& s) { return s.kind == ImuStep::Kind::kInitialised; }),
             GetParam());
   for (const ImuStep& s : steps) EXPECT_FALSE(s.reason.empty());
   EXPECT_EQ(times.samples("insert").size(), static_cast<std::size_t>(kKeyframes));
@@ -128,7 +133,8 @@ TEST(Mapper, RefusesRequestsOutOfOrderAndWrongOptions) {
   EXPECT_THROW(mapper.process(oracle.request(true, 3), false), Error);
   MappingOptions options;
   options.threads = 0;
-  EXPECT_THROW(Mapper(oracle.world.rig, oracle.world.scales, options, {}, nullptr), InvalidArgument);
+  EXPECT_THROW(Mapper(oracle.world.rig, oracle.world.scales, options, {}, nullptr),
+               InvalidArgument);
 }
 
 }  // namespace

@@ -22,7 +22,7 @@ struct Image {
   T at(int x, int y) const { return row(y)[x]; }
 };
 
-using ImageU8 = Image<std::uint8_t>;    ///< grey values
-using ImageF32 = Image<float>;          ///< depth, metres; <= 0 or non-finite means unknown
+using ImageU8 = Image<std::uint8_t>;  ///< grey values
+using ImageF32 = Image<float>;        ///< depth, metres; <= 0 or non-finite means unknown
 
 }  // namespace fastloop

@@ -31,14 +31,16 @@ struct NavState {
 };
 
 /// IMU measurements between two times, preintegrated on the manifold
-/// (Forster et al., "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry", T-RO 2017).
+/// (Forster et al., "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry", T-RO
+/// 2017).
 ///
 /// Error state order everywhere: [rotation, velocity, position] (9); bias order: [gyro, accel] (6).
 /// The samples are kept, so the integral can be redone about another bias.
 class PreintegratedImu {
  public:
   /// @param samples  time-ordered; measurement k is interpolated at the ends so that exactly
-  ///                 [begin_ns, end_ns] is covered; an uncovered start or end extrapolates the nearest sample.
+  ///                 [begin_ns, end_ns] is covered; an uncovered start or end extrapolates the
+  ///                 nearest sample.
   /// @throws InvalidArgument on end_ns <= begin_ns, no samples, or non-finite values.
   PreintegratedImu(std::span<const ImuSample> samples, Nanoseconds begin_ns, Nanoseconds end_ns,
                    const ImuBias& bias, const ImuCalibration& noise);
@@ -59,10 +61,12 @@ class PreintegratedImu {
   Vector3d delta_velocity(const ImuBias& bias) const;
   Vector3d delta_position(const ImuBias& bias) const;
 
-  /// State at end_ns from the state at begin_ns; gravity is kGravityWorld. The bias is carried over.
+  /// State at end_ns from the state at begin_ns; gravity is kGravityWorld. The bias is carried
+  /// over.
   NavState predict(const NavState& from) const;
 
-  /// Covariance of [rotation, velocity, position], 9x9, and bias random-walk variances over the interval.
+  /// Covariance of [rotation, velocity, position], 9x9, and bias random-walk variances over the
+  /// interval.
   const Eigen::Matrix<double, 9, 9>& covariance() const { return covariance_; }
   double gyro_bias_variance() const;   ///< rad^2 / s^2, each axis
   double accel_bias_variance() const;  ///< m^2 / s^4, each axis

@@ -8,7 +8,8 @@
 
 namespace fastloop {
 
-/// Where one landmark was seen in one frame. Pixels of the rig's cameras; `right` is NaN where unseen.
+/// Where one landmark was seen in one frame. Pixels of the rig's cameras; `right` is NaN where
+/// unseen.
 struct PixelObservation {
   Eigen::Vector2d left = Eigen::Vector2d::Zero();
   Eigen::Vector2d right = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
@@ -16,9 +17,11 @@ struct PixelObservation {
   bool has_right() const { return !std::isnan(right.x()); }
 };
 
-/// The cameras of a frame as the optimisers see them. The left camera is the camera frame of a keyframe.
+/// The cameras of a frame as the optimisers see them. The left camera is the camera frame of a
+/// keyframe.
 ///
-/// kRectified: ideal pinhole, rows aligned (stereo after rectification, or RGB-D with a virtual right
+/// kRectified: ideal pinhole, rows aligned (stereo after rectification, or RGB-D with a virtual
+/// right
 ///             coordinate): residual [u_left, v, u_right], 3 numbers.
 /// kGeneral:   any two cameras (fisheye): residual [u_left, v_left, u_right, v_right], 4 numbers.
 /// An observation without a right part has 2 numbers in either case.
@@ -27,9 +30,9 @@ struct StereoRig {
 
   Kind kind = Kind::kRectified;
   Camera left;
-  Camera right;                ///< kRectified: equal to left
-  SE3 T_right_left;            ///< kRectified: translation (-baseline, 0, 0)
-  SE3 T_body_left;             ///< body = IMU frame, or the left camera when there is no IMU
+  Camera right;      ///< kRectified: equal to left
+  SE3 T_right_left;  ///< kRectified: translation (-baseline, 0, 0)
+  SE3 T_body_left;   ///< body = IMU frame, or the left camera when there is no IMU
   double baseline_m = 0;
 
   static constexpr int kMaxResidual = 4;
@@ -40,14 +43,16 @@ struct StereoRig {
     return !z.has_right() ? 2 : kind == Kind::kRectified ? 3 : 4;
   }
 
-  /// Residual projection - measurement, in pixels. Only the first `residual_size(z)` rows are written.
+  /// Residual projection - measurement, in pixels. Only the first `residual_size(z)` rows are
+  /// written.
   /// @param jacobian  if given, d residual / d p_left
   /// @return number of rows, or 0 when the point cannot be projected
   int residual(const Vector3d& p_left, const PixelObservation& z, Residual* r,
                Jacobian* jacobian = nullptr) const;
 };
 
-/// 95 % quantile of chi-square with 2, 3 or 4 degrees of freedom: gate of a normalised squared residual.
+/// 95 % quantile of chi-square with 2, 3 or 4 degrees of freedom: gate of a normalised squared
+/// residual.
 constexpr double chi2_gate(int residual_size) {
   return residual_size == 2 ? 5.991 : residual_size == 3 ? 7.815 : 9.488;
 }

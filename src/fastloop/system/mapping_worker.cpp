@@ -2,8 +2,9 @@
 
 namespace fastloop::system {
 
-MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales, const mapping::MappingOptions& options,
-                             bool threaded, std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event,
+MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales,
+                             const mapping::MappingOptions& options, bool threaded,
+                             std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event,
                              StageTimes* times)
     : threaded_(threaded),
       mapper_(rig, scales, options,

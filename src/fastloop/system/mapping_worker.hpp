@@ -15,8 +15,10 @@ namespace fastloop::system {
 class MappingWorker {
  public:
   /// @param threaded  false: `submit` does all the work before it returns
-  MappingWorker(const StereoRig& rig, const PyramidScales& scales, const mapping::MappingOptions& options, bool threaded,
-                std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event, StageTimes* times);
+  MappingWorker(const StereoRig& rig, const PyramidScales& scales,
+                const mapping::MappingOptions& options, bool threaded,
+                std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event,
+                StageTimes* times);
   ~MappingWorker();
 
   /// Hands a request over; waits while the queue is full. With `wait`, until it has been processed.

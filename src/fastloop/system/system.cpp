@@ -19,7 +19,8 @@ Mode resolve_mode(Mode wanted, const Calibration& c) {
   }
   if (wanted == Mode::kRgbd && !c.depth) throw InvalidArgument("mode rgbd needs a depth camera");
   if (wanted != Mode::kRgbd && !stereo) throw InvalidArgument("stereo modes need two cameras");
-  if (wanted == Mode::kStereoInertial && !c.imu) throw InvalidArgument("mode stereo-inertial needs an IMU");
+  if (wanted == Mode::kStereoInertial && !c.imu)
+    throw InvalidArgument("mode stereo-inertial needs an IMU");
   return wanted;
 }
 
@@ -29,11 +30,14 @@ SystemOptions complete(SystemOptions options, Mode mode) {
   return options;
 }
 
-bool is_finite(const ImuSample& s) { return s.gyro.allFinite() && s.accel.allFinite(); }
+bool is_finite(const ImuSample& s) {
+  return s.gyro.allFinite() && s.accel.allFinite();
+}
 
 const char* event_kind(tracking::State before, tracking::State after) {
   using tracking::State;
-  if (after == State::kTracking) return before == State::kRecentlyLost ? "relocalised" : "initialised";
+  if (after == State::kTracking)
+    return before == State::kRecentlyLost ? "relocalised" : "initialised";
   if (after == State::kRecentlyLost) return "recently_lost";
   return after == State::kLost ? "lost" : "initialising";
 }
@@ -42,10 +46,14 @@ const char* event_kind(tracking::State before, tracking::State after) {
 
 const char* to_string(Mode mode) {
   switch (mode) {
-    case Mode::kAuto: return "auto";
-    case Mode::kStereo: return "stereo";
-    case Mode::kStereoInertial: return "stereo-inertial";
-    case Mode::kRgbd: return "rgbd";
+    case Mode::kAuto:
+      return "auto";
+    case Mode::kStereo:
+      return "stereo";
+    case Mode::kStereoInertial:
+      return "stereo-inertial";
+    case Mode::kRgbd:
+      return "rgbd";
   }
   return "unknown";
 }
@@ -67,8 +75,11 @@ struct System::Impl {
       : options(complete(given, resolve_mode(given.mode, calibration))),
         builder(calibration, options.orb),
         tracker(options.tracking, calibration.imu, &times),
-        worker(builder.rig(), PyramidScales(options.orb.levels, options.orb.scale_factor), options.mapping,
-               !options.deterministic, [this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); }, &times) {}
+        worker(
+            builder.rig(), PyramidScales(options.orb.levels, options.orb.scale_factor),
+            options.mapping, !options.deterministic,
+            [this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); },
+            &times) {}
 
   void add_event(Event event) {
     logger("system").info("{:.3f} {}: {}", to_seconds(event.stamp_ns), event.kind, event.reason);
@@ -84,17 +95,22 @@ struct System::Impl {
     add_event({stamp_ns, kind, step.reason, {}});
   }
 
-  /// The samples of a frame that can be integrated; the rest is reported. `storage` holds them when some had to go.
-  const std::vector<ImuSample>* usable_imu(const FrameInput& input, std::vector<ImuSample>& storage) {
-    const auto bad = std::count_if(input.imu.begin(), input.imu.end(), [](const auto& i) { return !is_finite(i); });
+  /// The samples of a frame that can be integrated; the rest is reported. `storage` holds them when
+  /// some had to go.
+  const std::vector<ImuSample>* usable_imu(const FrameInput& input,
+                                           std::vector<ImuSample>& storage) {
+    const auto bad = std::count_if(input.imu.begin(), input.imu.end(),
+                                   [](const auto& i) { return !is_finite(i); });
     if (bad == 0) return &input.imu;
-    add_event({input.stamp_ns, "imu_ignored", std::to_string(bad) + " IMU samples are not finite", {}});
+    add_event(
+        {input.stamp_ns, "imu_ignored", std::to_string(bad) + " IMU samples are not finite", {}});
     std::copy_if(input.imu.begin(), input.imu.end(), std::back_inserter(storage), is_finite);
     return &storage;
   }
 
   void note_state(const FrameRecord& record, const std::string& reason) {
-    // A waiting initialisation would repeat itself every frame: only a change of state or the first reason counts.
+    // A waiting initialisation would repeat itself every frame: only a change of state or the first
+    // reason counts.
     const bool waiting = record.state == tracking::State::kInitialising && state == record.state;
     if (waiting && (!initialising_reason.empty() || reason.empty())) return;
     if (record.state != state || !reason.empty())
@@ -152,10 +168,18 @@ void System::finish() {
   impl_->worker.finish();
 }
 
-Mode System::mode() const { return impl_->options.mode; }
-std::shared_ptr<const map::Snapshot> System::snapshot() const { return impl_->worker.snapshot(); }
-const std::vector<FrameRecord>& System::frames() const { return impl_->frames; }
-const StageTimes& System::times() const { return impl_->times; }
+Mode System::mode() const {
+  return impl_->options.mode;
+}
+std::shared_ptr<const map::Snapshot> System::snapshot() const {
+  return impl_->worker.snapshot();
+}
+const std::vector<FrameRecord>& System::frames() const {
+  return impl_->frames;
+}
+const StageTimes& System::times() const {
+  return impl_->times;
+}
 
 std::vector<Event> System::events() const {
   const std::lock_guard lock(impl_->events_mutex);

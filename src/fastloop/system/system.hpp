@@ -20,9 +20,10 @@ enum class Mode { kAuto, kStereo, kStereoInertial, kRgbd };
 const char* to_string(Mode mode);
 
 struct SystemOptions {
-  Mode mode = Mode::kAuto;          ///< kAuto: what the calibration offers
-  bool deterministic = false;       ///< everything in the calling thread, bit-identical from run to run
-  bool drop_when_busy = false;      ///< live operation: no keyframe is requested while mapping is behind
+  Mode mode = Mode::kAuto;     ///< kAuto: what the calibration offers
+  bool deterministic = false;  ///< everything in the calling thread, bit-identical from run to run
+  bool drop_when_busy =
+      false;  ///< live operation: no keyframe is requested while mapping is behind
   OrbOptions orb;
   tracking::TrackingOptions tracking;
   mapping::MappingOptions mapping;
@@ -31,7 +32,7 @@ struct SystemOptions {
 /// Something a user may want to know later: state changes, IMU initialisation, new maps.
 struct Event {
   Nanoseconds stamp_ns = 0;
-  std::string kind;                 ///< "initialised", "lost", "relocalised", "imu_initialised", ...
+  std::string kind;  ///< "initialised", "lost", "relocalised", "imu_initialised", ...
   std::string reason;
   MapId map;
 };
@@ -41,17 +42,17 @@ struct FrameRecord {
   Nanoseconds stamp_ns = 0;
   tracking::State state = tracking::State::kInitialising;
   bool has_pose = false;
-  SE3 live_T_world_body;            ///< as known at the time
-  KeyframeId reference;             ///< the final pose is that of the keyframe times T_reference_body
+  SE3 live_T_world_body;  ///< as known at the time
+  KeyframeId reference;   ///< the final pose is that of the keyframe times T_reference_body
   SE3 T_reference_body;
   int inliers = 0;
-  double tracking_ms = 0;           ///< from images to pose
+  double tracking_ms = 0;  ///< from images to pose
 };
 
 /// The SLAM system: feed frames in time order, read poses and the map.
 ///
-/// Threads: `process` is called from one thread and returns the pose of that frame; mapping runs in a
-/// worker of its own (unless deterministic). `snapshot`, `events` may be read from any thread.
+/// Threads: `process` is called from one thread and returns the pose of that frame; mapping runs in
+/// a worker of its own (unless deterministic). `snapshot`, `events` may be read from any thread.
 /// Errors of the worker are rethrown by the next `process` or by `finish`.
 class System {
  public:
@@ -59,7 +60,8 @@ class System {
   ~System();
 
   /// IMU samples that are not finite or not in time order are ignored.
-  /// @throws InvalidArgument on unordered stamps, images of the wrong size, or after `finish`; the frame is
+  /// @throws InvalidArgument on unordered stamps, images of the wrong size, or after `finish`; the
+  /// frame is
   ///         left out and the next one may follow
   const FrameRecord& process(const FrameInput& input);
   /// Waits until mapping has done all that was asked; the map does not change any more. Idempotent.

@@ -4,7 +4,7 @@ namespace fastloop::tracking {
 namespace {
 constexpr int kEnoughCloseTracked = 100;
 constexpr int kManyCloseUntracked = 70;
-constexpr double kWeakRatio = 0.4;       ///< so few landmarks left that waiting for mapping is no option
+constexpr double kWeakRatio = 0.4;  ///< so few landmarks left that waiting for mapping is no option
 constexpr double kForcedIntervalS = 1.0;
 }  // namespace
 
@@ -19,7 +19,8 @@ void count_close_points(const TrackedFrame& frame, float close_depth_m, Keyframe
 
 bool needs_keyframe(const KeyframeSituation& s, const TrackingOptions& options) {
   if (s.seconds_since_keyframe < options.min_keyframe_interval_s) return false;
-  const double interval = s.imu_initialized ? options.keyframe_interval_s : options.keyframe_interval_before_imu_s;
+  const double interval =
+      s.imu_initialized ? options.keyframe_interval_s : options.keyframe_interval_before_imu_s;
   if (options.use_imu && s.seconds_since_keyframe >= interval) return true;
 
   const bool close_points_missing =

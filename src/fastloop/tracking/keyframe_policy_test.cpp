@@ -92,7 +92,8 @@ TEST(KeyframePolicy, ImuNeedsKeyframesAtIntervals) {
 TEST(KeyframePolicy, CountsClosePoints) {
   map::testing::SyntheticView view;
   const Descriptor d;
-  for (const double depth : {1.0, 2.0, 4.9, 5.1, 30.0}) map::testing::add_keypoint(view, {10, 10}, 5, depth, 0, d, 0);
+  for (const double depth : {1.0, 2.0, 4.9, 5.1, 30.0})
+    map::testing::add_keypoint(view, {10, 10}, 5, depth, 0, d, 0);
   map::testing::add_keypoint(view, {10, 10}, NAN, 0, 0, d, 0);
   TrackedFrame frame;
   frame.features = view.features;

@@ -12,7 +12,8 @@ struct Source {
   std::uint32_t keypoint;
 };
 
-std::vector<Source> collect_sources(const map::Snapshot& snapshot, const TrackedFrame& last, float close_depth_m) {
+std::vector<Source> collect_sources(const map::Snapshot& snapshot, const TrackedFrame& last,
+                                    float close_depth_m) {
   std::vector<Source> sources;
   const StereoRig& rig = snapshot.rig();
   const SE3 T_world_camera = last.state.T_world_body * rig.T_body_left;
@@ -32,8 +33,9 @@ std::vector<Source> collect_sources(const map::Snapshot& snapshot, const Tracked
 }  // namespace
 
 std::vector<PointMatch> search_last_frame(const map::Snapshot& snapshot, const TrackedFrame& last,
-                                          const FeatureSet& features, const SE3& predicted_T_world_body,
-                                          float radius_px, float close_depth_m) {
+                                          const FeatureSet& features,
+                                          const SE3& predicted_T_world_body, float radius_px,
+                                          float close_depth_m) {
   const StereoRig& rig = snapshot.rig();
   const PyramidScales& scales = snapshot.scales();
   const SE3 T_camera_world = (predicted_T_world_body * rig.T_body_left).inverse();

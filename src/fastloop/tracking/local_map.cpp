@@ -13,8 +13,9 @@ void LocalMap::update(const map::Snapshot& snapshot, const std::vector<LandmarkI
   gather(snapshot);
 }
 
-void LocalMap::choose_keyframes(const map::Snapshot& snapshot, const std::vector<LandmarkId>& landmarks,
-                                KeyframeId recent, std::size_t max) {
+void LocalMap::choose_keyframes(const map::Snapshot& snapshot,
+                                const std::vector<LandmarkId>& landmarks, KeyframeId recent,
+                                std::size_t max) {
   keyframes_.clear();
   reference_ = KeyframeId{};
   votes_.assign(snapshot.keyframe_slots(), 0);
@@ -29,7 +30,8 @@ void LocalMap::choose_keyframes(const map::Snapshot& snapshot, const std::vector
     return va != vb ? va > vb : a < b;
   });
   const auto add = [&](KeyframeId id) {
-    if (keyframes_.size() >= max || !snapshot.contains(id) || keyframe_mark_[id.value()] == mark_) return;
+    if (keyframes_.size() >= max || !snapshot.contains(id) || keyframe_mark_[id.value()] == mark_)
+      return;
     keyframe_mark_[id.value()] = mark_;
     keyframes_.push_back(id);
   };

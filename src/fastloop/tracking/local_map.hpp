@@ -7,14 +7,14 @@
 
 namespace fastloop::tracking {
 
-/// Landmarks around the camera: those of the keyframes that share landmarks with the frame, and of their
-/// neighbours, as flat arrays for the projection search. Buffers are kept between frames.
+/// Landmarks around the camera: those of the keyframes that share landmarks with the frame, and of
+/// their neighbours, as flat arrays for the projection search. Buffers are kept between frames.
 class LocalMap {
  public:
   /// @param landmarks      matched landmarks of the frame (invalid entries allowed)
   /// @param recent         a keyframe whose temporal predecessors are included too; may be invalid
-  void update(const map::Snapshot& snapshot, const std::vector<LandmarkId>& landmarks, KeyframeId recent,
-              std::size_t max_keyframes);
+  void update(const map::Snapshot& snapshot, const std::vector<LandmarkId>& landmarks,
+              KeyframeId recent, std::size_t max_keyframes);
 
   const std::vector<KeyframeId>& keyframes() const { return keyframes_; }
   /// Keyframe that shares most landmarks with the frame; invalid when none does.
@@ -25,7 +25,8 @@ class LocalMap {
   const Eigen::Vector3f& p_world(std::size_t i) const { return p_world_[i]; }
 
  private:
-  void choose_keyframes(const map::Snapshot&, const std::vector<LandmarkId>&, KeyframeId recent, std::size_t max);
+  void choose_keyframes(const map::Snapshot&, const std::vector<LandmarkId>&, KeyframeId recent,
+                        std::size_t max);
   void gather(const map::Snapshot&);
 
   KeyframeId reference_;

@@ -10,7 +10,7 @@ namespace fastloop::tracking {
 namespace {
 
 constexpr int kKeyframesPerCall = 12;
-constexpr int kMaxDistance = 60;        ///< Hamming
+constexpr int kMaxDistance = 60;  ///< Hamming
 constexpr double kRatio = 0.8;
 constexpr int kRansacIterations = 200;
 constexpr double kRelativeTolerance = 0.06;  ///< of the depth: stereo noise of a distant point
@@ -76,7 +76,8 @@ int count_inliers(const std::vector<Pair>& pairs, const SE3& T_world_body) {
 
 }  // namespace
 
-std::vector<KeyframeId> Relocalizer::candidates(const map::Snapshot& snapshot, const FeatureSet& features, MapId map,
+std::vector<KeyframeId> Relocalizer::candidates(const map::Snapshot& snapshot,
+                                                const FeatureSet& features, MapId map,
                                                 KeyframeId near) {
   if (source_) return source_(features, snapshot);
   std::vector<KeyframeId> ids;
@@ -89,11 +90,13 @@ std::vector<KeyframeId> Relocalizer::candidates(const map::Snapshot& snapshot, c
   if (snapshot.contains(near))
     for (const KeyframeId id : snapshot.best_covisible(near, kKeyframesPerCall / 2 - 1)) add(id);
   const auto slots = static_cast<std::uint32_t>(snapshot.keyframe_slots());
-  for (std::uint32_t tried = 0; tried < slots && ids.size() < kKeyframesPerCall; ++tried) add(KeyframeId(next_++ % slots));
+  for (std::uint32_t tried = 0; tried < slots && ids.size() < kKeyframesPerCall; ++tried)
+    add(KeyframeId(next_++ % slots));
   return ids;
 }
 
-std::optional<Relocation> Relocalizer::try_keyframe(const map::Snapshot& snapshot, const FeatureSet& features,
+std::optional<Relocation> Relocalizer::try_keyframe(const map::Snapshot& snapshot,
+                                                    const FeatureSet& features,
                                                     KeyframeId candidate, int min_inliers) {
   const std::vector<Pair> pairs = match(snapshot, features, candidate);
   if (static_cast<int>(pairs.size()) < min_inliers) return std::nullopt;
@@ -134,7 +137,8 @@ std::optional<Relocation> Relocalizer::try_keyframe(const map::Snapshot& snapsho
   return result;
 }
 
-std::optional<Relocation> Relocalizer::relocalise(const map::Snapshot& snapshot, const FeatureSet& features, MapId map,
+std::optional<Relocation> Relocalizer::relocalise(const map::Snapshot& snapshot,
+                                                  const FeatureSet& features, MapId map,
                                                   KeyframeId near, int min_inliers) {
   for (const KeyframeId id : candidates(snapshot, features, map, near))
     if (auto found = try_keyframe(snapshot, features, id, min_inliers)) return found;

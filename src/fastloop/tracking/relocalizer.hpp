@@ -15,22 +15,26 @@ struct Relocation {
   int inliers = 0;
 };
 
-/// Finds the pose of a frame in the map without a prediction: descriptor matches with candidate keyframes,
-/// three-point rigid alignment (stereo points to landmarks) in a fixed-seed RANSAC, pose-only refinement.
+/// Finds the pose of a frame in the map without a prediction: descriptor matches with candidate
+/// keyframes, three-point rigid alignment (stereo points to landmarks) in a fixed-seed RANSAC,
+/// pose-only refinement.
 class Relocalizer {
  public:
-  using CandidateSource =
-      std::function<std::vector<KeyframeId>(const FeatureSet& features, const map::Snapshot& snapshot)>;
+  using CandidateSource = std::function<std::vector<KeyframeId>(const FeatureSet& features,
+                                                                const map::Snapshot& snapshot)>;
 
-  /// Without a source, each call tries the surroundings of `near` and the next few keyframes in turn.
+  /// Without a source, each call tries the surroundings of `near` and the next few keyframes in
+  /// turn.
   void set_candidate_source(CandidateSource source) { source_ = std::move(source); }
 
-  std::optional<Relocation> relocalise(const map::Snapshot& snapshot, const FeatureSet& features, MapId map,
-                                       KeyframeId near, int min_inliers);
+  std::optional<Relocation> relocalise(const map::Snapshot& snapshot, const FeatureSet& features,
+                                       MapId map, KeyframeId near, int min_inliers);
 
  private:
-  std::vector<KeyframeId> candidates(const map::Snapshot&, const FeatureSet&, MapId map, KeyframeId near);
-  std::optional<Relocation> try_keyframe(const map::Snapshot&, const FeatureSet&, KeyframeId candidate, int min_inliers);
+  std::vector<KeyframeId> candidates(const map::Snapshot&, const FeatureSet&, MapId map,
+                                     KeyframeId near);
+  std::optional<Relocation> try_keyframe(const map::Snapshot&, const FeatureSet&,
+                                         KeyframeId candidate, int min_inliers);
 
   CandidateSource source_;
   std::uint32_t next_ = 0;

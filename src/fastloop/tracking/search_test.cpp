@@ -44,16 +44,19 @@ TEST_F(Search, LastFramePointsAreFoundAroundThePrediction) {
   Vector6d error;
   error << 0.005, 0.005, -0.005, 0.01, 0.02, -0.01;
   const float close_m = 4.4f;
-  const auto matches = search_last_frame(m.map, last, *view.features, truth.retract(error), 15, close_m);
+  const auto matches =
+      search_last_frame(m.map, last, *view.features, truth.retract(error), 15, close_m);
   int landmarks = 0, stereo = 0, wrong = 0;
   std::set<std::uint32_t> taken;
   for (const PointMatch& match : matches) {
     EXPECT_TRUE(taken.insert(match.keypoint).second);
     const int p = view.point[match.keypoint];
-    const bool right = p >= 0 && (world.points[static_cast<std::size_t>(p)] - match.p_world).norm() < 0.5;
+    const bool right =
+        p >= 0 && (world.points[static_cast<std::size_t>(p)] - match.p_world).norm() < 0.5;
     wrong += !right;
     ++(match.landmark.valid() ? landmarks : stereo);
-    if (right && match.landmark.valid()) EXPECT_EQ(match.landmark, m.landmark_of[static_cast<std::size_t>(p)]);
+    if (right && match.landmark.valid())
+      EXPECT_EQ(match.landmark, m.landmark_of[static_cast<std::size_t>(p)]);
   }
   int in_both = 0;
   for (const LandmarkId l : last.landmarks) in_both += l.valid();
@@ -71,12 +74,15 @@ TEST_F(Search, LastFrameFollowsMergedLandmarksAndLeavesFarStereoPoints) {
   m.map.replace_landmark(loser, winner);
   last.landmarks.assign(last.landmarks.size(), LandmarkId{});
   for (std::size_t i = 0; i < last.landmarks.size(); ++i)
-    if (m.views[4].point[i] >= 0 && m.landmark_of[static_cast<std::size_t>(m.views[4].point[i])] == loser) last.landmarks[i] = loser;
+    if (m.views[4].point[i] >= 0 &&
+        m.landmark_of[static_cast<std::size_t>(m.views[4].point[i])] == loser)
+      last.landmarks[i] = loser;
   const auto matches = search_last_frame(m.map, last, *view.features, m.truth[4], 15, 3.0f);
   ASSERT_FALSE(matches.empty());
   for (const PointMatch& match : matches) {
     if (match.landmark.valid()) EXPECT_EQ(match.landmark, winner);
-    if (!match.landmark.valid()) EXPECT_LT(((m.truth[4] * world.rig.T_body_left).inverse() * match.p_world).z(), 3.0);
+    if (!match.landmark.valid())
+      EXPECT_LT(((m.truth[4] * world.rig.T_body_left).inverse() * match.p_world).z(), 3.0);
   }
 }
 
@@ -85,18 +91,21 @@ TEST_F(Search, LocalMapHoldsExactlyTheLandmarksOfItsKeyframes) {
   for (const std::size_t limit : {2u, 5u, 8u, 40u, 5u}) {
     local.update(m.map, m.map.keyframe(KeyframeId(6)).landmarks, KeyframeId(11), limit);
     EXPECT_LE(local.keyframes().size(), limit);
-    EXPECT_EQ(std::set<KeyframeId>(local.keyframes().begin(), local.keyframes().end()).size(), local.keyframes().size());
+    EXPECT_EQ(std::set<KeyframeId>(local.keyframes().begin(), local.keyframes().end()).size(),
+              local.keyframes().size());
     EXPECT_EQ(local.keyframes().front(), KeyframeId(11)) << "temporal neighbours survive the cut";
     EXPECT_EQ(local.reference(), KeyframeId(6));
     std::set<LandmarkId> expected;
     for (const KeyframeId k : local.keyframes())
       for (const LandmarkId l : m.map.keyframe(k).landmarks)
         if (l.valid()) expected.insert(l);
-    ASSERT_TRUE(std::equal(expected.begin(), expected.end(), local.ids().begin(), local.ids().end()));
+    ASSERT_TRUE(
+        std::equal(expected.begin(), expected.end(), local.ids().begin(), local.ids().end()));
     const auto view = local.view();
     for (std::size_t i = 0; i < local.ids().size(); ++i) {
       EXPECT_LT((view.p_world[i].cast<double>() - m.map.p_world(local.ids()[i])).norm(), 1e-5);
-      EXPECT_LT((view.normal_world[i].cast<double>() - m.map.normal_world(local.ids()[i])).norm(), 1e-5);
+      EXPECT_LT((view.normal_world[i].cast<double>() - m.map.normal_world(local.ids()[i])).norm(),
+                1e-5);
       EXPECT_EQ(view.descriptor[i], m.map.landmark(local.ids()[i]).descriptor);
     }
   }
@@ -133,8 +142,10 @@ void mix_up(SyntheticView& view, double share, std::mt19937& rng) {
 TEST_F(Search, RelocaliserFindsThePoseAmongWrongMatches) {
   for (int trial = 0; trial < 10; ++trial) {
     const SE3 truth = m.truth[static_cast<std::size_t>(trial)] *
-                      SE3(so3::exp(map::testing::normal_vector(rng, 0.05)), map::testing::normal_vector(rng, 0.15));
-    SyntheticView view = observe(world, truth, {.noise_px = 0.5, .flipped_bits = 15, .clutter = 100}, rng);
+                      SE3(so3::exp(map::testing::normal_vector(rng, 0.05)),
+                          map::testing::normal_vector(rng, 0.15));
+    SyntheticView view =
+        observe(world, truth, {.noise_px = 0.5, .flipped_bits = 15, .clutter = 100}, rng);
     mix_up(view, 0.4, rng);
     Relocalizer relocaliser;
     const auto found = relocaliser.relocalise(m.map, *view.features, m.id, KeyframeId{}, 30);
@@ -145,7 +156,8 @@ TEST_F(Search, RelocaliserFindsThePoseAmongWrongMatches) {
     for (std::size_t i = 0; i < found->landmarks.size(); ++i) {
       if (!found->landmarks[i].valid()) continue;
       ++matched;
-      wrong += view.point[i] < 0 || m.landmark_of[static_cast<std::size_t>(view.point[i])] != found->landmarks[i];
+      wrong += view.point[i] < 0 ||
+               m.landmark_of[static_cast<std::size_t>(view.point[i])] != found->landmarks[i];
     }
     EXPECT_EQ(matched, found->inliers);
     EXPECT_LE(wrong, 2);
@@ -162,12 +174,14 @@ TEST_F(Search, RelocaliserRefusesUnrelatedFrames) {
   EXPECT_FALSE(relocaliser.relocalise(m.map, *shuffled.features, m.id, KeyframeId(5), 15));
   const SyntheticView same = observe(world, m.truth[5], {}, rng);
   EXPECT_TRUE(relocaliser.relocalise(m.map, *same.features, m.id, KeyframeId(5), 15));
-  EXPECT_FALSE(relocaliser.relocalise(m.map, *same.features, MapId(1), KeyframeId(5), 15)) << "another map";
+  EXPECT_FALSE(relocaliser.relocalise(m.map, *same.features, MapId(1), KeyframeId(5), 15))
+      << "another map";
 }
 
 TEST_F(Search, RelocaliserAsksItsSource) {
   Relocalizer relocaliser;
-  relocaliser.set_candidate_source([](const FeatureSet&, const map::Snapshot&) { return std::vector{KeyframeId(7)}; });
+  relocaliser.set_candidate_source(
+      [](const FeatureSet&, const map::Snapshot&) { return std::vector{KeyframeId(7)}; });
   const SyntheticView view = observe(world, m.truth[7], {}, rng);
   const auto found = relocaliser.relocalise(m.map, *view.features, m.id, KeyframeId(0), 15);
   ASSERT_TRUE(found);

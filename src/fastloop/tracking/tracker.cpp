@@ -9,8 +9,10 @@ namespace {
 
 constexpr int kEnoughLastFrameInliers = 10;
 constexpr int kFewLastFrameMatches = 20;
-constexpr Nanoseconds kMaxImuGapNs = 50'000'000;  ///< longer without a measurement is not integrated over
-constexpr std::size_t kStereoPointsHelpBelow = 100;  ///< landmarks; above, unmapped stereo points are left out
+constexpr Nanoseconds kMaxImuGapNs =
+    50'000'000;  ///< longer without a measurement is not integrated over
+constexpr std::size_t kStereoPointsHelpBelow =
+    100;  ///< landmarks; above, unmapped stereo points are left out
 
 /// Whether the measurements tell the motion of the whole interval.
 bool covers(const std::vector<ImuSample>& samples, Nanoseconds begin_ns, Nanoseconds end_ns) {
@@ -25,10 +27,12 @@ bool covers(const std::vector<ImuSample>& samples, Nanoseconds begin_ns, Nanosec
 
 }  // namespace
 
-Tracker::Tracker(const TrackingOptions& options, const std::optional<ImuCalibration>& imu, StageTimes* times)
+Tracker::Tracker(const TrackingOptions& options, const std::optional<ImuCalibration>& imu,
+                 StageTimes* times)
     : options_(options), imu_calibration_(imu), times_(times) {
   options_.validate();
-  if (options_.use_imu && !imu) throw InvalidArgument("TrackingOptions::use_imu needs an IMU calibration");
+  if (options_.use_imu && !imu)
+    throw InvalidArgument("TrackingOptions::use_imu needs an IMU calibration");
   if (imu_calibration_) {
     imu_calibration_->gyro_noise_density *= options_.imu_noise_factor;
     imu_calibration_->accel_noise_density *= options_.imu_noise_factor;
@@ -43,13 +47,15 @@ float Tracker::close_depth_m() const {
   return static_cast<float>(options_.close_depth_baselines * snapshot_->rig().baseline_m);
 }
 
-TrackResult Tracker::track(const Input& input, const std::shared_ptr<const map::Snapshot>& snapshot) {
+TrackResult Tracker::track(const Input& input,
+                           const std::shared_ptr<const map::Snapshot>& snapshot) {
   snapshot_ = snapshot;
   begin_frame(input);
   if (state_ == State::kInitialising || state_ == State::kLost) return initialise(input);
 
   if (last_->reference.value() >= snapshot_->keyframe_slots())
-    throw InvalidArgument("the first keyframe of a map must be in the snapshot before the next frame is tracked");
+    throw InvalidArgument(
+        "the first keyframe of a map must be in the snapshot before the next frame is tracked");
   follow_map_changes();
   predict();
   const bool searched = search_in_last_frame();
@@ -83,7 +89,8 @@ void Tracker::append_imu(const std::vector<ImuSample>& samples) {
     if (imu_.empty() || s.stamp_ns > imu_.back().stamp_ns) imu_.push_back(s);
 }
 
-std::shared_ptr<const PreintegratedImu> Tracker::preintegrate(Nanoseconds begin_ns, Nanoseconds end_ns,
+std::shared_ptr<const PreintegratedImu> Tracker::preintegrate(Nanoseconds begin_ns,
+                                                              Nanoseconds end_ns,
                                                               const ImuBias& bias) const {
   // The sample at or before the beginning up to the one at or after the end.
   auto first = std::upper_bound(imu_.begin(), imu_.end(), begin_ns,
@@ -94,7 +101,8 @@ std::shared_ptr<const PreintegratedImu> Tracker::preintegrate(Nanoseconds begin_
   if (last != imu_.end()) ++last;
   const std::vector<ImuSample> samples(first, last);
   if (end_ns <= begin_ns || !covers(samples, begin_ns, end_ns)) return nullptr;
-  return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, bias, *imu_calibration_);
+  return std::make_shared<const PreintegratedImu>(samples, begin_ns, end_ns, bias,
+                                                  *imu_calibration_);
 }
 
 /// First pose of a map: level when the IMU can tell where down is, otherwise the origin.
@@ -103,13 +111,15 @@ SE3 Tracker::level_pose(const Input& input) const {
   Vector3d up_body = Vector3d::Zero();
   for (const ImuSample& s : *input.imu) up_body += s.accel;
   if (up_body.norm() < 1e-3) return SE3{};
-  return SE3(Eigen::Quaterniond::FromTwoVectors(up_body.normalized(), Vector3d::UnitZ()), Vector3d::Zero());
+  return SE3(Eigen::Quaterniond::FromTwoVectors(up_body.normalized(), Vector3d::UnitZ()),
+             Vector3d::Zero());
 }
 
 TrackResult Tracker::initialise(const Input& input) {
   TrackResult result;
   int with_depth = 0;
-  for (std::size_t i = 0; i < frame_.features->size(); ++i) with_depth += frame_.features->has_depth(i);
+  for (std::size_t i = 0; i < frame_.features->size(); ++i)
+    with_depth += frame_.features->has_depth(i);
   if (with_depth < options_.min_initial_depth_points) {
     state_ = State::kInitialising;
     imu_.clear();  // nothing starts here; the next frame brings the samples around this one again
@@ -121,7 +131,8 @@ TrackResult Tracker::initialise(const Input& input) {
   frame_.state.T_world_body = level_pose(input);
   map_ = MapId(maps_started_++);
   // Requests still waiting to be mapped have taken slots that the snapshot does not show yet.
-  next_keyframe_ = std::max(next_keyframe_, static_cast<std::uint32_t>(snapshot_->keyframe_slots()));
+  next_keyframe_ =
+      std::max(next_keyframe_, static_cast<std::uint32_t>(snapshot_->keyframe_slots()));
   motion_s_ = 0;
   prior_.reset();
   velocity_known_ = false;
@@ -157,10 +168,12 @@ void Tracker::follow_map_changes() {
   }
   if (imu_ready() && !velocity_known_) from_keyframe_ = true;
   // Where the last frame became a keyframe, mapping has found or created landmarks for it since.
-  if (snapshot_->contains(last_keyframe_) && snapshot_->keyframe(last_keyframe_).data->frame == last_->id) {
+  if (snapshot_->contains(last_keyframe_) &&
+      snapshot_->keyframe(last_keyframe_).data->frame == last_->id) {
     last_->landmarks = snapshot_->keyframe(last_keyframe_).landmarks;
     last_->reference = last_keyframe_;
-    last_->T_reference_body = snapshot_->T_world_body(last_keyframe_).inverse() * last_->state.T_world_body;
+    last_->T_reference_body =
+        snapshot_->T_world_body(last_keyframe_).inverse() * last_->state.T_world_body;
   }
 }
 
@@ -175,7 +188,8 @@ void Tracker::predict() {
     const bool covered = !imu_.empty() && imu_.front().stamp_ns <= k.data->stamp_ns;
     if (from_keyframe_ && !covered) from_keyframe_ = false;
     previous_state_ = from_keyframe_ ? k.state : last_->state;
-    imu_factor_ = preintegrate(from_keyframe_ ? k.data->stamp_ns : last_->stamp_ns, frame_.stamp_ns, previous_state_.bias);
+    imu_factor_ = preintegrate(from_keyframe_ ? k.data->stamp_ns : last_->stamp_ns, frame_.stamp_ns,
+                               previous_state_.bias);
     if (imu_factor_) {
       frame_.state = imu_factor_->predict(previous_state_);
       return;
@@ -188,7 +202,8 @@ void Tracker::predict() {
     step = SE3(so3::exp(ratio * so3::log(motion_.rotation)), ratio * motion_.translation);
   }
   if (options_.use_imu) {
-    // Before the IMU is initialised its gyroscope already tells the rotation; translation goes on as it was.
+    // Before the IMU is initialised its gyroscope already tells the rotation; translation goes on
+    // as it was.
     if (const auto imu = preintegrate(last_->stamp_ns, frame_.stamp_ns, last_->state.bias)) {
       step = SE3(imu->delta_rotation(last_->state.bias), step.translation);
     }
@@ -196,8 +211,8 @@ void Tracker::predict() {
   frame_.state.T_world_body = last_->state.T_world_body * step;
 }
 
-std::vector<optimization::PoseObservation> Tracker::observations_of(const std::vector<std::uint32_t>& keypoints,
-                                                                    const std::vector<Vector3d>& p_world) const {
+std::vector<optimization::PoseObservation> Tracker::observations_of(
+    const std::vector<std::uint32_t>& keypoints, const std::vector<Vector3d>& p_world) const {
   const FeatureSet& f = *frame_.features;
   std::vector<optimization::PoseObservation> observations(keypoints.size());
   for (std::size_t i = 0; i < keypoints.size(); ++i) {
@@ -212,11 +227,12 @@ std::vector<optimization::PoseObservation> Tracker::observations_of(const std::v
 
 bool Tracker::search_in_last_frame() {
   const ScopedTimer timer(times_, "last_frame");
-  const float radius = imu_ready() ? options_.last_frame_radius_inertial_px : options_.last_frame_radius_px;
+  const float radius =
+      imu_ready() ? options_.last_frame_radius_inertial_px : options_.last_frame_radius_px;
   std::vector<PointMatch> matches;
   for (const float factor : {1.f, 2.f, 4.f}) {
-    matches = search_last_frame(*snapshot_, *last_, *frame_.features, frame_.state.T_world_body, factor * radius,
-                                close_depth_m());
+    matches = search_last_frame(*snapshot_, *last_, *frame_.features, frame_.state.T_world_body,
+                                factor * radius, close_depth_m());
     if (matches.size() >= kFewLastFrameMatches) break;
   }
   std::vector<std::uint32_t> keypoints;
@@ -225,7 +241,8 @@ bool Tracker::search_in_last_frame() {
     keypoints.push_back(m.keypoint);
     points.push_back(m.p_world);
   }
-  const auto fit = optimization::optimize_pose(snapshot_->rig(), frame_.state.T_world_body, observations_of(keypoints, points));
+  const auto fit = optimization::optimize_pose(snapshot_->rig(), frame_.state.T_world_body,
+                                               observations_of(keypoints, points));
   if (fit.num_inliers < kEnoughLastFrameInliers) return false;
   frame_.state.T_world_body = fit.T_world_body;
   for (std::size_t i = 0; i < matches.size(); ++i) {
@@ -239,18 +256,23 @@ bool Tracker::search_in_last_frame() {
 }
 
 bool Tracker::search_in_local_map() {
-  const bool any = std::any_of(frame_.landmarks.begin(), frame_.landmarks.end(), [](LandmarkId id) { return id.valid(); });
+  const bool any = std::any_of(frame_.landmarks.begin(), frame_.landmarks.end(),
+                               [](LandmarkId id) { return id.valid(); });
   matching::ProjectionMatches matches;
   {
     const ScopedTimer timer(times_, "local_map");
-    const KeyframeId recent = imu_ready() ? snapshot_->map_info(map_).last_keyframe : last_->reference;
-    local_map_.update(*snapshot_, any ? frame_.landmarks : last_->landmarks, recent, options_.max_local_keyframes);
+    const KeyframeId recent =
+        imu_ready() ? snapshot_->map_info(map_).last_keyframe : last_->reference;
+    local_map_.update(*snapshot_, any ? frame_.landmarks : last_->landmarks, recent,
+                      options_.max_local_keyframes);
 
-    std::vector<std::uint8_t> blocked(frame_.landmarks.size(), 0), skipped(local_map_.ids().size(), 0);
+    std::vector<std::uint8_t> blocked(frame_.landmarks.size(), 0),
+        skipped(local_map_.ids().size(), 0);
     for (std::size_t i = 0; i < frame_.landmarks.size(); ++i) {
       if (!frame_.landmarks[i].valid()) continue;
       blocked[i] = 1;
-      const auto it = std::lower_bound(local_map_.ids().begin(), local_map_.ids().end(), frame_.landmarks[i]);
+      const auto it =
+          std::lower_bound(local_map_.ids().begin(), local_map_.ids().end(), frame_.landmarks[i]);
       if (it != local_map_.ids().end() && *it == frame_.landmarks[i])
         skipped[static_cast<std::size_t>(it - local_map_.ids().begin())] = 1;
     }
@@ -261,11 +283,11 @@ bool Tracker::search_in_local_map() {
     if (state_ == State::kRecentlyLost || !any) rule.radius_px *= 4;
     rule.max_distance = 100;
     rule.best_to_second = 0.8f;
-    const matching::SearchTarget target{frame_.features.get(),
-                                        (frame_.state.T_world_body * snapshot_->rig().T_body_left).inverse(), 1, blocked,
-                                        skipped};
-    matching::search_by_projection(Executor::cpu(), snapshot_->rig(), snapshot_->scales(), {&target, 1},
-                                   local_map_.view(), rule, {&matches, 1});
+    const matching::SearchTarget target{
+        frame_.features.get(), (frame_.state.T_world_body * snapshot_->rig().T_body_left).inverse(),
+        1, blocked, skipped};
+    matching::search_by_projection(Executor::cpu(), snapshot_->rig(), snapshot_->scales(),
+                                   {&target, 1}, local_map_.view(), rule, {&matches, 1});
     for (std::size_t i = 0; i < matches.keypoint.size(); ++i)
       if (matches.keypoint[i] != matching::kNoMatch)
         frame_.landmarks[static_cast<std::size_t>(matches.keypoint[i])] = local_map_.ids()[i];
@@ -307,7 +329,8 @@ bool Tracker::optimise_against_local_map(const matching::ProjectionMatches&) {
   return inliers_ + stereo_inliers >= needed && frame_.state.T_world_body.is_finite();
 }
 
-bool Tracker::optimise(const std::vector<optimization::PoseObservation>& observations, std::vector<std::uint8_t>& inlier) {
+bool Tracker::optimise(const std::vector<optimization::PoseObservation>& observations,
+                       std::vector<std::uint8_t>& inlier) {
   if (observations.size() < 3) return false;
   if (imu_ready() && imu_factor_) {
     optimization::InertialPoseProblem problem;
@@ -324,7 +347,8 @@ bool Tracker::optimise(const std::vector<optimization::PoseObservation>& observa
     velocity_known_ = true;
     return true;
   }
-  // Without measurements nothing is known of the velocity: the next IMU factor starts at a keyframe.
+  // Without measurements nothing is known of the velocity: the next IMU factor starts at a
+  // keyframe.
   prior_.reset();
   velocity_known_ = false;
   auto fit = optimization::optimize_pose(snapshot_->rig(), frame_.state.T_world_body, observations);
@@ -340,13 +364,15 @@ void Tracker::record_sightings(const matching::ProjectionMatches& matches) {
     if (id.valid()) {
       auto& [visible, found] = sightings_[id];
       ++found;
-      if (visible < found) visible = found;  // found in the last frame, so not searched in the local map
+      if (visible < found)
+        visible = found;  // found in the last frame, so not searched in the local map
     }
 }
 
 bool Tracker::relocalise() {
   const int needed = imu_ready() ? options_.min_inliers_inertial : options_.min_inliers;
-  auto found = relocalizer_.relocalise(*snapshot_, *frame_.features, map_, last_->reference, needed);
+  auto found =
+      relocalizer_.relocalise(*snapshot_, *frame_.features, map_, last_->reference, needed);
   if (!found) return false;
   // Velocity and bias: what the IMU predicted, not what a rejected fit left behind.
   relocalised_inertially_ = imu_ready() && imu_factor_;
@@ -362,16 +388,19 @@ bool Tracker::relocalise() {
 }
 
 void Tracker::finish_tracked(const Input& input, TrackResult& result) {
-  if (state_ == State::kRecentlyLost) result.reason = "relocalised with " + std::to_string(inliers_) + " landmarks";
+  if (state_ == State::kRecentlyLost)
+    result.reason = "relocalised with " + std::to_string(inliers_) + " landmarks";
   state_ = State::kTracking;
   frame_.reference = local_map_.reference().valid() ? local_map_.reference() : last_->reference;
-  frame_.T_reference_body = snapshot_->T_world_body(frame_.reference).inverse() * frame_.state.T_world_body;
+  frame_.T_reference_body =
+      snapshot_->T_world_body(frame_.reference).inverse() * frame_.state.T_world_body;
   const double dt = to_seconds(frame_.stamp_ns - last_->stamp_ns);
   motion_ = last_->state.T_world_body.inverse() * frame_.state.T_world_body;
   motion_s_ = relocalised_inertially_ ? 0 : dt;
   // From the dead-reckoned last pose to a relocalised one is a jump, no motion.
   if (!relocalised_inertially_ && !(imu_ready() && imu_factor_))
-    frame_.state.v_world = (frame_.state.T_world_body.translation - last_->state.T_world_body.translation) / dt;
+    frame_.state.v_world =
+        (frame_.state.T_world_body.translation - last_->state.T_world_body.translation) / dt;
   result.has_pose = true;
   result.T_world_body = frame_.state.T_world_body;
   result.reference = frame_.reference;
@@ -391,7 +420,8 @@ void Tracker::finish_lost(TrackResult& result) {
     result.reason = "only " + std::to_string(inliers_) + " landmarks agree with the pose";
   }
   const bool inertial = imu_ready() && imu_factor_;
-  const double patience = imu_ready() ? options_.recently_lost_inertial_s : options_.recently_lost_s;
+  const double patience =
+      imu_ready() ? options_.recently_lost_inertial_s : options_.recently_lost_s;
   motion_s_ = 0;
   if (inertial) {
     // Dead reckoning keeps the prediction alive for the next frames.
@@ -400,8 +430,10 @@ void Tracker::finish_lost(TrackResult& result) {
     last_->stamp_ns = frame_.stamp_ns;
     last_->features = frame_.features;
     last_->landmarks.assign(frame_.features->size(), LandmarkId{});
-    last_->T_reference_body = snapshot_->T_world_body(last_->reference).inverse() * frame_.state.T_world_body;
-    // The next fit must not hold this state fixed: it starts at the newest keyframe, with the drift since then.
+    last_->T_reference_body =
+        snapshot_->T_world_body(last_->reference).inverse() * frame_.state.T_world_body;
+    // The next fit must not hold this state fixed: it starts at the newest keyframe, with the drift
+    // since then.
     prior_.reset();
     velocity_known_ = false;
     result.has_pose = true;
@@ -411,7 +443,8 @@ void Tracker::finish_lost(TrackResult& result) {
   }
   if (to_seconds(frame_.stamp_ns - lost_since_ns_) > patience) {
     state_ = State::kLost;
-    result.reason = "not found again within " + std::to_string(patience) + " s: a new map will be started";
+    result.reason =
+        "not found again within " + std::to_string(patience) + " s: a new map will be started";
     result.has_pose = false;
   }
 }
@@ -443,16 +476,19 @@ map::KeyframeRequest Tracker::make_request(bool starts_map) {
   if (!starts_map) {
     r.reference = frame_.reference;
     r.T_reference_body = frame_.T_reference_body;
-    if (options_.use_imu) r.imu_from_previous = preintegrate(last_keyframe_ns_, frame_.stamp_ns, frame_.state.bias);
+    if (options_.use_imu)
+      r.imu_from_previous = preintegrate(last_keyframe_ns_, frame_.stamp_ns, frame_.state.bias);
   }
-  for (const auto& [id, counts] : sightings_) r.sightings.push_back({id, counts.first, counts.second});
+  for (const auto& [id, counts] : sightings_)
+    r.sightings.push_back({id, counts.first, counts.second});
   sightings_.clear();
   last_keyframe_ = r.id;
   last_keyframe_ns_ = frame_.stamp_ns;
   // Measurements are kept back to the newest keyframe that mapping has finished.
-  const Nanoseconds keep_from = map_exists() && snapshot_->map_info(map_).last_keyframe.valid()
-                                    ? snapshot_->keyframe(snapshot_->map_info(map_).last_keyframe).data->stamp_ns
-                                    : frame_.stamp_ns;
+  const Nanoseconds keep_from =
+      map_exists() && snapshot_->map_info(map_).last_keyframe.valid()
+          ? snapshot_->keyframe(snapshot_->map_info(map_).last_keyframe).data->stamp_ns
+          : frame_.stamp_ns;
   while (imu_.size() > 2 && imu_[1].stamp_ns <= keep_from) imu_.pop_front();
   return r;
 }

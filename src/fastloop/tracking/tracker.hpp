@@ -14,17 +14,20 @@
 
 namespace fastloop::tracking {
 
-/// Pose of every frame against the map: prediction (IMU or constant velocity), search in the last frame,
-/// search in the local map, pose-only optimisation, decision on keyframes, relocalisation when lost.
+/// Pose of every frame against the map: prediction (IMU or constant velocity), search in the last
+/// frame, search in the local map, pose-only optimisation, decision on keyframes, relocalisation
+/// when lost.
 ///
 /// Synchronous; one thread at a time. Reads snapshots only; what should enter the map leaves as a
-/// KeyframeRequest. Snapshots may lag behind the requests, except that the first keyframe of a map must be in
-/// the snapshot of the next frame (InvalidArgument). Deterministic for the same sequence of frames and snapshots.
+/// KeyframeRequest. Snapshots may lag behind the requests, except that the first keyframe of a map
+/// must be in the snapshot of the next frame (InvalidArgument). Deterministic for the same sequence
+/// of frames and snapshots.
 class Tracker {
  public:
   /// @param imu    noise of the IMU; needed when options.use_imu
   /// @param times  may be null; stages "predict", "last_frame", "local_map", "pose"
-  Tracker(const TrackingOptions& options, const std::optional<ImuCalibration>& imu, StageTimes* times);
+  Tracker(const TrackingOptions& options, const std::optional<ImuCalibration>& imu,
+          StageTimes* times);
 
   struct Input {
     FrameId id;
@@ -32,7 +35,8 @@ class Tracker {
     std::shared_ptr<const FeatureSet> features;
     const std::vector<ImuSample>* imu = nullptr;  ///< as FrameInput::imu
     bool mapping_idle = true;
-    bool mapping_full = false;   ///< live operation and mapping is far behind: no keyframe may be requested
+    bool mapping_full =
+        false;  ///< live operation and mapping is far behind: no keyframe may be requested
   };
   TrackResult track(const Input& input, const std::shared_ptr<const map::Snapshot>& snapshot);
 
@@ -46,16 +50,18 @@ class Tracker {
   bool search_in_last_frame();
   bool search_in_local_map();
   bool optimise_against_local_map(const matching::ProjectionMatches& matches);
-  bool optimise(const std::vector<optimization::PoseObservation>& observations, std::vector<std::uint8_t>& inlier);
+  bool optimise(const std::vector<optimization::PoseObservation>& observations,
+                std::vector<std::uint8_t>& inlier);
   void record_sightings(const matching::ProjectionMatches& matches);
   bool relocalise();
   void finish_tracked(const Input& input, TrackResult& result);
   void finish_lost(TrackResult& result);
   map::KeyframeRequest make_request(bool starts_map);
   bool wants_keyframe(const Input& input) const;
-  std::shared_ptr<const PreintegratedImu> preintegrate(Nanoseconds begin_ns, Nanoseconds end_ns, const ImuBias&) const;
-  std::vector<optimization::PoseObservation> observations_of(const std::vector<std::uint32_t>& keypoints,
-                                                             const std::vector<Vector3d>& p_world) const;
+  std::shared_ptr<const PreintegratedImu> preintegrate(Nanoseconds begin_ns, Nanoseconds end_ns,
+                                                       const ImuBias&) const;
+  std::vector<optimization::PoseObservation> observations_of(
+      const std::vector<std::uint32_t>& keypoints, const std::vector<Vector3d>& p_world) const;
   bool imu_ready() const;
   bool map_exists() const { return map_.valid() && map_.value() < snapshot_->maps().size(); }
   float close_depth_m() const;
@@ -70,12 +76,13 @@ class Tracker {
   std::shared_ptr<const map::Snapshot> snapshot_;
   TrackedFrame frame_;
   std::optional<TrackedFrame> last_;
-  SE3 motion_;                       ///< T_previousbody_body of the last step
-  double motion_s_ = 0;              ///< its duration; 0 = unknown
+  SE3 motion_;           ///< T_previousbody_body of the last step
+  double motion_s_ = 0;  ///< its duration; 0 = unknown
   int inliers_ = 0;
-  std::vector<PointMatch> stereo_matches_;  ///< of this frame: last frame's stereo points without landmark
+  std::vector<PointMatch>
+      stereo_matches_;  ///< of this frame: last frame's stereo points without landmark
 
-  MapId map_;                        ///< map in use; maps are numbered in the order they are started
+  MapId map_;  ///< map in use; maps are numbered in the order they are started
   std::uint32_t maps_started_ = 0;
   KeyframeId last_keyframe_;         ///< last requested
   std::uint32_t next_keyframe_ = 0;  ///< slot of the next request
@@ -83,11 +90,12 @@ class Tracker {
   std::uint64_t pose_version_ = 0;
   Nanoseconds lost_since_ns_ = 0;
 
-  std::deque<ImuSample> imu_;        ///< since the newest keyframe in use
-  bool from_keyframe_ = false;       ///< this frame's IMU factor starts at a keyframe instead of the last frame
+  std::deque<ImuSample> imu_;  ///< since the newest keyframe in use
+  bool from_keyframe_ =
+      false;  ///< this frame's IMU factor starts at a keyframe instead of the last frame
   bool velocity_known_ = false;
   bool relocalised_inertially_ = false;  ///< this frame, after dead reckoning
-  NavState previous_state_;          ///< start of the IMU factor
+  NavState previous_state_;              ///< start of the IMU factor
   std::shared_ptr<const PreintegratedImu> imu_factor_;
   std::optional<optimization::NavPrior> prior_;  ///< on the last frame
 

@@ -15,18 +15,21 @@ using map::testing::SyntheticView;
 using map::testing::SyntheticWorld;
 
 constexpr Nanoseconds kFrameNs = 50'000'000;
-/// Metres and radians: the mapping that stands in adjusts nothing, so errors add up from keyframe to keyframe.
+/// Metres and radians: the mapping that stands in adjusts nothing, so errors add up from keyframe
+/// to keyframe.
 constexpr double kDrift = 0.2;
 
-/// Turns requests into keyframes with stereo landmarks; the last `lag` requests are still waiting. With an IMU it
-/// is initialised with the truth at the sixth keyframe, and later keyframes get their true velocity.
+/// Turns requests into keyframes with stereo landmarks; the last `lag` requests are still waiting.
+/// With an IMU it is initialised with the truth at the sixth keyframe, and later keyframes get
+/// their true velocity.
 class StandInMapping {
  public:
   StandInMapping(const SyntheticWorld& world, std::size_t lag, bool use_imu)
       : map_(world.rig, world.scales), lag_(lag), use_imu_(use_imu), snapshot_(map_.publish()) {}
 
   void submit(map::KeyframeRequest request) {
-    ASSERT_EQ(request.id.value(), map_.keyframe_slots() + waiting_.size()) << "ids are the order of the requests";
+    ASSERT_EQ(request.id.value(), map_.keyframe_slots() + waiting_.size())
+        << "ids are the order of the requests";
     const bool at_once = request.starts_map;
     waiting_.push_back(std::move(request));
     while (waiting_.size() > (at_once ? 0 : lag_)) {
@@ -58,7 +61,9 @@ class StandInMapping {
   }
   void adjust_motion(MapId id, KeyframeId newest) {
     map::MapInfo& info = map_.mutable_info(id);
-    const auto truth = [&](KeyframeId k) { return synthetic::Motion::state(map_.keyframe(k).data->stamp_ns); };
+    const auto truth = [&](KeyframeId k) {
+      return synthetic::Motion::state(map_.keyframe(k).data->stamp_ns);
+    };
     const bool now = !info.imu_initialized && info.num_keyframes >= 6;
     if (now) {
       map_.transform_map(id, truth(newest).T_world_body * map_.T_world_body(newest).inverse());
@@ -85,7 +90,8 @@ class Stream {
   explicit Stream(bool use_imu, std::size_t lag = 0)
       : world(2500, {4, 4, 2.5}, 3),
         mapping(world, lag, use_imu),
-        tracker(options_for(use_imu), use_imu ? std::optional(ImuCalibration{}) : std::nullopt, nullptr) {}
+        tracker(options_for(use_imu), use_imu ? std::optional(ImuCalibration{}) : std::nullopt,
+                nullptr) {}
 
   static TrackingOptions options_for(bool use_imu) {
     TrackingOptions options;
@@ -101,7 +107,9 @@ class Stream {
     else
       view = map::testing::observe(world, truth(), {.noise_px = 0.1, .clutter = 50}, rng_);
     std::vector<ImuSample> samples;
-    if (imu_works) samples = synthetic::regular_samples(std::max<Nanoseconds>(0, stamp - kFrameNs), stamp, 5'000'000);
+    if (imu_works)
+      samples =
+          synthetic::regular_samples(std::max<Nanoseconds>(0, stamp - kFrameNs), stamp, 5'000'000);
     for (ImuSample& s : samples) s.accel += accel_error;
     Tracker::Input input;
     input.id = FrameId(static_cast<std::uint32_t>(frame_));
@@ -112,7 +120,8 @@ class Stream {
     if (result.has_pose && !origin_) origin_ = truth() * result.T_world_body.inverse();
     if (result.keyframe) mapping.submit(*result.keyframe);
     ++frame_;
-    if (result.state != state_) EXPECT_FALSE(result.reason.empty()) << to_string(state_) << " -> " << to_string(result.state);
+    if (result.state != state_)
+      EXPECT_FALSE(result.reason.empty()) << to_string(state_) << " -> " << to_string(result.state);
     state_ = result.state;
     return result;
   }
@@ -122,7 +131,8 @@ class Stream {
     return results;
   }
   SE3 truth() const { return synthetic::Motion::state(frame_ * kFrameNs).T_world_body; }
-  /// Distance of the last result from the truth, metres and radians. Visual maps start at their first frame.
+  /// Distance of the last result from the truth, metres and radians. Visual maps start at their
+  /// first frame.
   double error(const TrackResult& r) const {
     const SE3 T = synthetic::Motion::state((frame_ - 1) * kFrameNs).T_world_body;
     const bool metric = mapping.snapshot()->maps().back().imu_initialized;
@@ -198,10 +208,15 @@ TEST(Tracker, RelocalisesAfterAShortBlindTime) {
   bool back = false;
   for (int i = 0; i < 40; ++i) {
     const TrackResult r = stream.next();
-    if (r.state == State::kTracking && !back) EXPECT_NE(r.reason.find("relocalised"), std::string::npos);
-    if (back) { ASSERT_EQ(r.state, State::kTracking) << i; }
+    if (r.state == State::kTracking && !back)
+      EXPECT_NE(r.reason.find("relocalised"), std::string::npos);
+    if (back) {
+      ASSERT_EQ(r.state, State::kTracking) << i;
+    }
     back |= r.state == State::kTracking;
-    if (back) { ASSERT_LT(stream.error(r), kDrift) << i; }
+    if (back) {
+      ASSERT_LT(stream.error(r), kDrift) << i;
+    }
   }
   EXPECT_TRUE(back);
   EXPECT_EQ(stream.mapping.snapshot()->maps().size(), 1u);
