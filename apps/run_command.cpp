@@ -207,7 +207,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->add_option("--start", args->start_s, "Skip this many seconds at the beginning")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  command->add_flag("--no-loop", args->no_loop, "Without loop closing");
+  command->add_flag("--no-loop", args->no_loop, "Without loop closing (this version has none: no effect)");
   command->add_flag("--quiet", args->quiet, "No progress lines");
   command->footer(
       "Example: fastloop run /data/MH_01_easy --out /tmp/mh01 && fastloop eval "

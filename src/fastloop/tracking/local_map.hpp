@@ -22,7 +22,6 @@ class LocalMap {
 
   const std::vector<LandmarkId>& ids() const { return ids_; }
   matching::LandmarkView view() const;
-  const Eigen::Vector3f& p_world(std::size_t i) const { return p_world_[i]; }
 
  private:
   void choose_keyframes(const map::Snapshot&, const std::vector<LandmarkId>&, KeyframeId recent,

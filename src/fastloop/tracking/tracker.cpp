@@ -292,12 +292,12 @@ bool Tracker::search_in_local_map() {
       if (matches.keypoint[i] != matching::kNoMatch)
         frame_.landmarks[static_cast<std::size_t>(matches.keypoint[i])] = local_map_.ids()[i];
   }
-  const bool ok = optimise_against_local_map(matches);
+  const bool ok = optimise_against_local_map();
   if (ok) record_sightings(matches);
   return ok;
 }
 
-bool Tracker::optimise_against_local_map(const matching::ProjectionMatches&) {
+bool Tracker::optimise_against_local_map() {
   const ScopedTimer timer(times_, "pose");
   std::vector<std::uint32_t> keypoints;
   std::vector<Vector3d> points;

@@ -49,7 +49,7 @@ class Tracker {
   void predict();
   bool search_in_last_frame();
   bool search_in_local_map();
-  bool optimise_against_local_map(const matching::ProjectionMatches& matches);
+  bool optimise_against_local_map();
   bool optimise(const std::vector<optimization::PoseObservation>& observations,
                 std::vector<std::uint8_t>& inlier);
   void record_sightings(const matching::ProjectionMatches& matches);
