@@ -60,6 +60,12 @@ struct CovisibilityEdge {
   int shared = 0;
 };
 
+/// A loop that was closed: two keyframes whose relative pose was measured by place recognition.
+struct LoopEdge {
+  KeyframeId a, b;
+  SE3 T_a_b;  ///< body of b in the body frame of a
+};
+
 /// One connected map; several exist after tracking was lost for good.
 struct MapInfo {
   MapId id;
@@ -67,6 +73,7 @@ struct MapInfo {
   bool imu_initialized = false;
   int imu_refinements = 0;        ///< later inertial adjustments: 0, 1 (5 s), 2 (15 s)
   std::size_t num_keyframes = 0;  ///< live
+  MapId merged_into;  ///< valid when the map was welded to another one and is empty since
 };
 
 }  // namespace fastloop::map

@@ -210,6 +210,43 @@ void Map::transform_map(MapId map, const SE3& T_new_old) {
   ++pose_version_;
 }
 
+void Map::merge_maps(MapId from, MapId into, KeyframeId root, KeyframeId parent_of_root) {
+  if (from == into) throw InvalidArgument("a map cannot be merged into itself");
+  MapInfo& gone = maps_.at(from.value());
+  MapInfo& kept = maps_.at(into.value());
+  KeyframeId before;
+  for (std::uint32_t i = 0; i < keyframes_.size(); ++i) {
+    if (keyframes_[i].map != from && keyframes_[i].map != into) continue;
+    Keyframe& k = keyframes_.mutate(i);
+    k.map = into;
+    if (k.removed) continue;
+    const KeyframeId id(i);
+    if (k.previous != before) {
+      k.previous = before;
+      k.imu_from_previous = nullptr;
+    }
+    k.next = KeyframeId{};
+    if (before.valid())
+      keyframes_.mutate(before.value()).next = id;
+    else
+      kept.first_keyframe = id;
+    before = id;
+  }
+  kept.last_keyframe = before;
+  kept.num_keyframes += gone.num_keyframes;
+  gone.num_keyframes = 0;
+  gone.first_keyframe = gone.last_keyframe = KeyframeId{};
+  gone.merged_into = into;
+  if (root.valid()) keyframes_.mutate(root.value()).parent = parent_of_root;
+  ++version_;
+  ++pose_version_;
+}
+
+void Map::add_loop_edge(const LoopEdge& edge) {
+  loop_edges_.push_back(edge);
+  ++version_;
+}
+
 void Map::set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu) {
   keyframes_.mutate(id.value()).imu_from_previous = std::move(imu);
   ++version_;

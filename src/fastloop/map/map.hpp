@@ -16,6 +16,8 @@ namespace fastloop::map {
 class Map : public Snapshot {
  public:
   Map(const StereoRig& rig, const PyramidScales& scales);
+  /// A private copy to work on; shares everything that is not changed.
+  explicit Map(const Snapshot& snapshot) : Snapshot(snapshot) {}
 
   /// Immutable copy of the present state.
   std::shared_ptr<const Snapshot> publish() const {
@@ -47,6 +49,12 @@ class Map : public Snapshot {
   void set_p_world(LandmarkId id, const Vector3d& p_world);
   /// Rotates and moves one whole map: T_new_old applied to poses, velocities.
   void transform_map(MapId map, const SE3& T_new_old);
+  /// Makes one map of two whose keyframes lie in the same world frame already: the keyframes of
+  /// `from` join `into`, in the order of their ids; measurements of the IMU between keyframes that
+  /// are no longer neighbours in time are dropped. The root of `from` gets `parent_of_root` as
+  /// parent.
+  void merge_maps(MapId from, MapId into, KeyframeId root, KeyframeId parent_of_root);
+  void add_loop_edge(const LoopEdge& edge);
   void set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu);
   void set_parent(KeyframeId child, KeyframeId parent) {
     keyframes_.mutate(child.value()).parent = parent;

@@ -13,6 +13,11 @@ LandmarkId Snapshot::resolve(LandmarkId id) const {
   return LandmarkId{};
 }
 
+MapId Snapshot::resolve(MapId id) const {
+  while (map_info(id).merged_into.valid()) id = map_info(id).merged_into;
+  return id;
+}
+
 SE3 Snapshot::T_world_body(KeyframeId id) const {
   const Keyframe& k = keyframe(id);
   return k.removed ? T_world_body(k.anchor_of_removed) * k.T_anchor_body : k.state.T_world_body;

@@ -59,7 +59,11 @@ class Snapshot {
   /// Landmarks of a keyframe that are seen by at least `min_observers` keyframes.
   int count_tracked(KeyframeId id, int min_observers) const;
 
+  /// Loops closed so far, in the order they were closed. Ends may have been removed since.
+  const std::vector<LoopEdge>& loop_edges() const { return loop_edges_; }
   const std::vector<MapInfo>& maps() const { return maps_; }
+  /// The map that stands for `id` today: itself, or the one it was merged into.
+  MapId resolve(MapId id) const;
   const MapInfo& map_info(MapId id) const { return maps_[id.value()]; }
 
  protected:
@@ -75,6 +79,7 @@ class Snapshot {
   Landmarks landmarks_;
   Covisibility covisibility_;
   std::vector<MapInfo> maps_;
+  std::vector<LoopEdge> loop_edges_;
   std::size_t num_keyframes_ = 0, num_landmarks_ = 0;
 };
 
