@@ -206,14 +206,14 @@ void Map::transform_map(MapId map, const SE3& T_new_old) {
     s.T_world_body = T_new_old * s.T_world_body;
     s.v_world = T_new_old.rotation * s.v_world;
   }
-  ++version_;
-  ++pose_version_;
+  note_frame_change();
 }
 
-void Map::merge_maps(MapId from, MapId into, KeyframeId root, KeyframeId parent_of_root) {
+void Map::merge_maps(MapId from, MapId into, KeyframeId link) {
   if (from == into) throw InvalidArgument("a map cannot be merged into itself");
   MapInfo& gone = maps_.at(from.value());
   MapInfo& kept = maps_.at(into.value());
+  const KeyframeId root = std::max(gone.first_keyframe, kept.first_keyframe);
   KeyframeId before;
   for (std::uint32_t i = 0; i < keyframes_.size(); ++i) {
     if (keyframes_[i].map != from && keyframes_[i].map != into) continue;
@@ -237,13 +237,26 @@ void Map::merge_maps(MapId from, MapId into, KeyframeId root, KeyframeId parent_
   gone.num_keyframes = 0;
   gone.first_keyframe = gone.last_keyframe = KeyframeId{};
   gone.merged_into = into;
-  if (root.valid()) keyframes_.mutate(root.value()).parent = parent_of_root;
-  ++version_;
-  ++pose_version_;
+  if (root.valid()) {  // invalid when one of them was empty
+    Keyframe& k = keyframes_.mutate(root.value());
+    k.parent = contains(link) && link < root ? link : k.previous;
+  }
+  note_frame_change();
 }
 
 void Map::add_loop_edge(const LoopEdge& edge) {
   loop_edges_.push_back(edge);
+  ++version_;
+}
+
+void Map::note_frame_change() {
+  ++version_;
+  ++pose_version_;
+  ++frame_version_;
+}
+
+void Map::set_p_anchor(LandmarkId id, const Vector3d& p_anchor) {
+  landmarks_.mutate(id.value()).p_anchor = p_anchor;
   ++version_;
 }
 

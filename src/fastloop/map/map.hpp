@@ -47,13 +47,16 @@ class Map : public Snapshot {
 
   void set_state(KeyframeId id, const NavState& state);
   void set_p_world(LandmarkId id, const Vector3d& p_world);
+  void set_p_anchor(LandmarkId id, const Vector3d& p_anchor);
+  /// To be called after a change that moved a large part of a map at once; see frame_version().
+  void note_frame_change();
   /// Rotates and moves one whole map: T_new_old applied to poses, velocities.
   void transform_map(MapId map, const SE3& T_new_old);
   /// Makes one map of two whose keyframes lie in the same world frame already: the keyframes of
   /// `from` join `into`, in the order of their ids; measurements of the IMU between keyframes that
-  /// are no longer neighbours in time are dropped. The root of `from` gets `parent_of_root` as
-  /// parent.
-  void merge_maps(MapId from, MapId into, KeyframeId root, KeyframeId parent_of_root);
+  /// are no longer neighbours in time are dropped. The younger of the two roots becomes a child of
+  /// `link`, or, if that is not older, of its predecessor in time.
+  void merge_maps(MapId from, MapId into, KeyframeId link);
   void add_loop_edge(const LoopEdge& edge);
   void set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu);
   void set_parent(KeyframeId child, KeyframeId parent) {

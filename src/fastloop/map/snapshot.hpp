@@ -16,6 +16,10 @@ class Snapshot {
   /// Changes whenever a pose, velocity or bias that existed before was changed.
   std::uint64_t pose_version() const { return pose_version_; }
 
+  /// Changes whenever the world frame of a map, or a large part of a map in it, moved at once:
+  /// alignment to gravity, loop correction, merging.
+  std::uint64_t frame_version() const { return frame_version_; }
+
   const StereoRig& rig() const { return rig_; }
   const PyramidScales& scales() const { return scales_; }
 
@@ -72,7 +76,7 @@ class Snapshot {
   using Landmarks = CowVector<Landmark, 64>;
   using Covisibility = CowVector<std::vector<CovisibilityEdge>, 8>;
 
-  std::uint64_t version_ = 0, pose_version_ = 0;
+  std::uint64_t version_ = 0, pose_version_ = 0, frame_version_ = 0;
   StereoRig rig_;
   PyramidScales scales_;
   Keyframes keyframes_;

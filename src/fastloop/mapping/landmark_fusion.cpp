@@ -2,49 +2,17 @@
 
 #include <algorithm>
 
-#include "fastloop/matching/projection_search.hpp"
+#include "fastloop/map/landmark_arrays.hpp"
 
 namespace fastloop::mapping {
 namespace {
-
-struct LandmarkArrays {
-  std::vector<LandmarkId> ids;
-  std::vector<Eigen::Vector3f> p_world, normal;
-  std::vector<float> min_distance, max_distance;
-  std::vector<Descriptor> descriptor;
-
-  LandmarkArrays(const map::Map& map, std::vector<LandmarkId> chosen) : ids(std::move(chosen)) {
-    for (const LandmarkId id : ids) {
-      const map::Landmark& l = map.landmark(id);
-      p_world.push_back(map.p_world(id).cast<float>());
-      normal.push_back(map.normal_world(id).cast<float>());
-      min_distance.push_back(l.min_distance_m);
-      max_distance.push_back(l.max_distance_m);
-      descriptor.push_back(l.descriptor);
-    }
-  }
-  matching::LandmarkView view() const {
-    return {p_world, normal, min_distance, max_distance, descriptor};
-  }
-};
-
-std::vector<LandmarkId> landmarks_of(const map::Map& map,
-                                     const std::vector<KeyframeId>& keyframes) {
-  std::vector<LandmarkId> ids;
-  for (const KeyframeId k : keyframes)
-    for (const LandmarkId id : map.keyframe(k).landmarks)
-      if (id.valid()) ids.push_back(id);
-  std::sort(ids.begin(), ids.end());
-  ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
-  return ids;
-}
 
 /// Searches the landmarks in all keyframes at once and applies what was found, keyframe by
 /// keyframe.
 int fuse_into(map::Map& map, const std::vector<KeyframeId>& keyframes,
               const std::vector<LandmarkId>& ids) {
   if (keyframes.empty() || ids.empty()) return 0;
-  const LandmarkArrays arrays(map, ids);
+  const map::LandmarkArrays arrays(map, ids);
   std::vector<std::vector<std::uint8_t>> skipped(keyframes.size());
   std::vector<matching::SearchTarget> targets(keyframes.size());
   for (std::size_t t = 0; t < keyframes.size(); ++t) {
@@ -102,9 +70,9 @@ int fuse_with_neighbours(map::Map& map, KeyframeId keyframe, const MappingOption
       std::find(neighbours.begin(), neighbours.end(), previous) == neighbours.end())
     neighbours.push_back(previous);
 
-  int changes = fuse_into(map, neighbours, landmarks_of(map, {keyframe}));
-  changes += fuse_into(map, {keyframe}, landmarks_of(map, neighbours));
-  for (const LandmarkId id : landmarks_of(map, {keyframe})) map.refresh_landmark(id);
+  int changes = fuse_into(map, neighbours, map::landmarks_of(map, {{keyframe}}));
+  changes += fuse_into(map, {keyframe}, map::landmarks_of(map, neighbours));
+  for (const LandmarkId id : map::landmarks_of(map, {{keyframe}})) map.refresh_landmark(id);
   return changes;
 }
 

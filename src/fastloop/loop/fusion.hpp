@@ -1,0 +1,34 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "fastloop/compute/executor.hpp"
+#include "fastloop/loop/options.hpp"
+#include "fastloop/loop/region_match.hpp"
+#include "fastloop/map/correction.hpp"
+#include "fastloop/map/landmark_arrays.hpp"
+
+namespace fastloop::loop {
+
+/// A keyframe around the current one where the loop puts it.
+struct MovedKeyframe {
+  KeyframeId keyframe;
+  SE3 T_camera_world;  ///< left camera, corrected
+};
+
+/// What becomes one landmark, and who sees what from now on.
+struct Fusion {
+  std::vector<map::LandmarkMerge> merges;         ///< ascending loser; winners are not losers
+  std::vector<map::NewObservation> observations;  ///< of winners; ascending (keyframe, keypoint)
+};
+
+/// Loop fusion: every landmark of the matched side is searched in every moved keyframe. What is found
+/// at a keypoint with a landmark makes the two one; at a free keypoint it becomes an observation. All
+/// duplicates of all landmarks are joined at once, nearest descriptors first, and never two landmarks
+/// that one keyframe sees at different keypoints. Deterministic for any executor.
+Fusion fuse_loop(const Executor& executor, const map::Snapshot& snapshot, const LoopOptions& options,
+                 const RegionMatch& match, std::span<const MovedKeyframe> moved,
+                 const map::LandmarkArrays& cloud);
+
+}  // namespace fastloop::loop

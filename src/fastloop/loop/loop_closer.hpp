@@ -1,0 +1,52 @@
+#pragma once
+
+#include <optional>
+
+#include "fastloop/loop/detection.hpp"
+#include "fastloop/loop/loop_correction.hpp"
+
+namespace fastloop::loop {
+
+/// Loop closing as one object: feed it every keyframe with a snapshot that contains it, take
+/// corrections. Knows nothing of tracking or mapping.
+///
+///   LoopCloser closer(options, Backend::kAuto, place::default_vocabulary());
+///   auto outcome = closer.process(*map.publish(), keyframe);
+///   if (outcome.correction) closer.conclude(map::apply_correction(map, *outcome.correction));
+///
+/// Threads  `process` and `conclude` from one thread at a time; `database` may be asked by others.
+class LoopCloser {
+ public:
+  /// @param vocabulary  must outlive the closer
+  LoopCloser(const LoopOptions& options, Backend backend, const place::Vocabulary& vocabulary);
+
+  struct Outcome {
+    LoopReport report;
+    std::optional<map::LoopCorrection> correction;
+    /// What was waiting before this keyframe: with it and the snapshot the decision can be replayed.
+    LoopDetector::Waiting waiting_before;
+  };
+
+  /// Takes a keyframe in without looking for loops.
+  void add(const map::Snapshot& snapshot, KeyframeId keyframe);
+  /// Takes a keyframe in and looks whether it closes a loop.
+  Outcome process(const map::Snapshot& snapshot, KeyframeId keyframe);
+  /// Tells what became of a correction.
+  void conclude(const map::CorrectionOutcome& outcome);
+
+  const place::PlaceDatabase& database() const { return database_; }
+  const LoopOptions& options() const { return options_; }
+  Backend backend() const { return backend_; }
+  void set_waiting(const LoopDetector::Waiting& waiting) { detector_.set_waiting(waiting); }
+
+ private:
+  void forget_removed(const map::Snapshot& snapshot);
+
+  LoopOptions options_;
+  Backend backend_;
+  place::PlaceDatabase database_;
+  LoopDetector detector_;
+  CorrectionMemory memory_;
+};
+
+}  // namespace fastloop::loop

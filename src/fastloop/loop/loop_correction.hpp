@@ -1,0 +1,28 @@
+#pragma once
+
+#include "fastloop/loop/backend.hpp"
+#include "fastloop/loop/fusion.hpp"
+#include "fastloop/loop/stage_clock.hpp"
+#include "fastloop/map/correction.hpp"
+#include "fastloop/map/essential_graph.hpp"
+
+namespace fastloop::loop {
+
+/// Work memory that a sequence of corrections shares: the order of elimination of the pose graph is
+/// kept from loop to loop.
+struct CorrectionMemory {
+  map::EssentialGraph graph;
+  optimization::PoseGraphPlan plan;
+  optimization::PoseGraphResult graph_result;
+};
+
+/// What a verified match changes in the map: connected keyframes through the correction, loop fusion,
+/// new connections, pose graph (4-DoF where gravity is known, SE3 otherwise); for a merge the whole
+/// map that is newer moves rigidly instead.
+/// Stages: "correct_poses", "loop_fusion", "connections", "graph_build", "graph_solve", and
+/// "landmarks" with the reference back end only, which moves every landmark as published.
+map::LoopCorrection compute_correction(const map::Snapshot& snapshot, const RegionMatch& match,
+                                       const LoopOptions& options, Backend backend,
+                                       CorrectionMemory& memory, StageClock& clock);
+
+}  // namespace fastloop::loop

@@ -1,0 +1,309 @@
+#include "fastloop/map/correction.hpp"
+
+#include <algorithm>
+#include <queue>
+#include <unordered_map>
+
+namespace fastloop::map {
+namespace {
+
+using Fault = std::optional<std::string>;
+
+std::string name(auto id) { return std::to_string(id.value()); }
+
+bool is_finite(const NavState& s) {
+  return s.T_world_body.is_finite() && s.v_world.allFinite() && s.bias.gyro.allFinite() &&
+         s.bias.accel.allFinite() &&
+         std::abs(s.T_world_body.rotation.norm() - 1) < 1e-6;
+}
+
+/// Motion of a keyframe in the world: new pose = motion * old pose.
+SE3 motion_of(const CorrectedState& s) {
+  return s.after.T_world_body * s.before.T_world_body.inverse();
+}
+
+/// The map as it would be: poses after the correction.
+class Corrected {
+ public:
+  Corrected(const Snapshot& map, const LoopCorrection& c) : map_(map) {
+    for (const CorrectedState& s : c.states) motion_[s.keyframe] = motion_of(s);
+  }
+  bool moves(KeyframeId id) const { return motion_.contains(id); }
+  SE3 T_world_body(KeyframeId id) const {
+    const auto it = motion_.find(id);
+    return it == motion_.end() ? map_.T_world_body(id) : it->second * map_.T_world_body(id);
+  }
+  Vector3d p_world(LandmarkId id) const {
+    const Landmark& l = map_.landmark(id);
+    return T_world_body(l.anchor) * l.p_anchor;
+  }
+
+ private:
+  const Snapshot& map_;
+  std::unordered_map<KeyframeId, SE3> motion_;
+};
+
+/// Reprojection error in pixels of octave 0; large when the camera cannot see the point.
+double error_px(const Snapshot& map, const SE3& T_world_body, const Vector3d& p_world,
+                KeyframeId keyframe, std::uint32_t keypoint) {
+  const Vector3d p = (T_world_body * map.rig().T_body_left).inverse() * p_world;
+  const Camera& camera = map.rig().left;
+  if (!p.allFinite() || !camera.is_projectable(p)) return 1e6;
+  const FeatureSet& f = *map.keyframe(keyframe).data->features;
+  return (camera.project(p) - map.pixel(keyframe, keypoint).left).norm() /
+         static_cast<double>(map.scales().scale[f.octave[keypoint]]);
+}
+
+double median(std::vector<double>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+Fault check_names(const Snapshot& map, const LoopCorrection& c) {
+  const auto known = [&](MapId id) { return id.value() < map.maps().size(); };
+  if (!known(c.map) || (c.kind == LoopCorrection::Kind::kMerge && !known(c.merged)))
+    return "it names a map that does not exist";
+  if (c.kind == LoopCorrection::Kind::kMerge && c.map == c.merged)
+    return "it merges a map with itself";
+  if (c.frame_version != map.frame_version())
+    return "the map was corrected since it was computed";
+  for (std::size_t i = 0; i < c.states.size(); ++i) {
+    const KeyframeId id = c.states[i].keyframe;
+    if (id.value() >= map.keyframe_slots()) return "it names keyframe " + name(id) + ", which does not exist";
+    if (i > 0 && c.states[i - 1].keyframe >= id) return "its keyframes are not in order";
+    const MapId of = map.keyframe(id).map;
+    if (of != c.map && (c.kind != LoopCorrection::Kind::kMerge || of != c.merged))
+      return "keyframe " + name(id) + " belongs to another map";
+  }
+  const auto landmark_known = [&](LandmarkId id) { return id.value() < map.landmark_slots(); };
+  for (const LandmarkMerge& m : c.merges)
+    if (!landmark_known(m.loser) || !landmark_known(m.winner) || m.loser == m.winner)
+      return "it merges landmark " + name(m.loser) + " into " + name(m.winner) +
+             ", which cannot be";
+  for (const NewObservation& o : c.observations) {
+    if (!landmark_known(o.landmark)) return "it names landmark " + name(o.landmark) + ", which does not exist";
+    if (o.keyframe.value() >= map.keyframe_slots() ||
+        (map.contains(o.keyframe) && o.keypoint >= map.keyframe(o.keyframe).landmarks.size()))
+      return "it names keypoint " + std::to_string(o.keypoint) + " of keyframe " +
+             name(o.keyframe) + ", which does not exist";
+  }
+  for (const CorrectedPoint& p : c.points)
+    if (!landmark_known(p.landmark) || p.anchor.value() >= map.keyframe_slots())
+      return "it moves landmark " + name(p.landmark) + ", which does not exist";
+  return std::nullopt;
+}
+
+Fault check_finite(const LoopCorrection& c) {
+  for (const CorrectedState& s : c.states)
+    if (!is_finite(s.before) || !is_finite(s.after))
+      return "the state of keyframe " + name(s.keyframe) + " is not finite";
+  for (const CorrectedPoint& p : c.points)
+    if (!p.p_anchor.allFinite()) return "landmark " + name(p.landmark) + " is not finite";
+  if (c.kind != LoopCorrection::Kind::kAdjustment && !c.edge.T_a_b.is_finite())
+    return "the loop edge is not finite";
+  return std::nullopt;
+}
+
+Fault check_edge(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
+                 const CorrectionLimits& limits) {
+  for (const KeyframeId id : {c.edge.a, c.edge.b})
+    if (id.value() >= map.keyframe_slots()) return "its loop edge ends at a keyframe that does not exist";
+  const SE3 T_a_b = corrected.T_world_body(c.edge.a).inverse() * corrected.T_world_body(c.edge.b);
+  const double metres = (T_a_b.translation - c.edge.T_a_b.translation).norm();
+  const double angle = angle_between(T_a_b, c.edge.T_a_b);
+  if (!(metres <= limits.max_edge_error_m) || !(angle <= limits.max_edge_error_rad)) {
+    char text[120];
+    std::snprintf(text, sizeof text,
+                  "corrected poses contradict the loop edge by %.2f m and %.1f degrees", metres,
+                  angle * 180 / M_PI);
+    return text;
+  }
+  return std::nullopt;
+}
+
+/// What the loop adds must fit the images under the corrected poses.
+Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
+                  const CorrectionLimits& limits) {
+  std::size_t total = 0, good = 0;
+  const auto look = [&](const Vector3d& p, KeyframeId keyframe, std::uint32_t keypoint) {
+    ++total;
+    good += error_px(map, corrected.T_world_body(keyframe), p, keyframe, keypoint) <=
+            limits.observation_gate_px;
+  };
+  for (const NewObservation& o : c.observations)
+    if (map.contains(o.landmark) && map.contains(o.keyframe))
+      look(corrected.p_world(o.landmark), o.keyframe, o.keypoint);
+  for (const LandmarkMerge& m : c.merges)
+    if (map.contains(m.loser) && map.contains(m.winner)) {
+      const Observation& o = map.landmark(m.loser).observations.back();
+      look(corrected.p_world(m.winner), o.keyframe, o.keypoint);
+    }
+  if (2 * good < total)
+    return "only " + std::to_string(good) + " of " + std::to_string(total) +
+           " joined observations fit the corrected poses";
+  return std::nullopt;
+}
+
+/// Observations across keyframes must fit about as well as before: a correction bends the map, it
+/// does not tear it.
+Fault check_growth(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
+                   const CorrectionLimits& limits) {
+  std::vector<double> before, after;
+  for (const CorrectedState& s : c.states) {
+    if (!map.contains(s.keyframe)) continue;
+    const map::Keyframe& k = map.keyframe(s.keyframe);
+    // A sample of each keyframe tells as much as all of it.
+    const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / 16);
+    for (std::uint32_t i = 0; i < k.landmarks.size(); i += static_cast<std::uint32_t>(step)) {
+      const LandmarkId l = k.landmarks[i];
+      if (!l.valid() || map.landmark(l).anchor == s.keyframe) continue;
+      before.push_back(error_px(map, k.state.T_world_body, map.p_world(l), s.keyframe, i));
+      after.push_back(
+          error_px(map, corrected.T_world_body(s.keyframe), corrected.p_world(l), s.keyframe, i));
+    }
+  }
+  if (before.empty()) return std::nullopt;
+  const double was = median(before), is = median(after);
+  if (is > std::max(limits.growth_floor_px, was) * limits.max_growth) {
+    char text[120];
+    std::snprintf(text, sizeof text, "the median reprojection error would grow from %.2f to %.2f px",
+                  was, is);
+    return text;
+  }
+  return std::nullopt;
+}
+
+/// Every moved keyframe must hang together with an end of the loop.
+Fault check_connected(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected) {
+  std::vector<std::uint8_t> reached(map.keyframe_slots(), 0);
+  std::queue<KeyframeId> queue;
+  const auto visit = [&](KeyframeId id) {
+    if (id.valid() && id.value() < reached.size() && !reached[id.value()]) {
+      reached[id.value()] = 1;
+      queue.push(id);
+    }
+  };
+  std::vector<std::vector<KeyframeId>> children(map.keyframe_slots());
+  for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i) {
+    const KeyframeId parent = map.keyframe(KeyframeId(i)).parent;
+    if (map.contains(KeyframeId(i)) && map.contains(parent))
+      children[parent.value()].push_back(KeyframeId(i));
+  }
+  visit(c.edge.a);
+  visit(c.edge.b);
+  while (!queue.empty()) {
+    const KeyframeId id = queue.front();
+    queue.pop();
+    if (!map.contains(id)) continue;
+    const Keyframe& k = map.keyframe(id);
+    visit(k.parent);
+    visit(k.previous);
+    visit(k.next);
+    for (const KeyframeId child : children[id.value()]) visit(child);
+    for (const CovisibilityEdge& e : map.covisible(id)) visit(e.keyframe);
+  }
+  for (const CorrectedState& s : c.states)
+    if (map.contains(s.keyframe) && !reached[s.keyframe.value()] && corrected.moves(s.keyframe))
+      return "keyframe " + name(s.keyframe) + " would be moved without a path to the loop";
+  return std::nullopt;
+}
+
+/// What one keyframe is subject to. `state` is null for one that arrived since.
+struct Motion {
+  KeyframeId keyframe;
+  SE3 T_new_old;
+  const CorrectedState* state;
+};
+
+/// Motion of every live keyframe of the corrected maps, ascending.
+std::vector<Motion> motions(const Map& map, const LoopCorrection& c) {
+  std::vector<Motion> all;
+  std::unordered_map<KeyframeId, const CorrectedState*> named;
+  for (const CorrectedState& s : c.states) named[s.keyframe] = &s;
+  const KeyframeId newest = c.states.empty() ? KeyframeId(0) : c.states.back().keyframe;
+  std::unordered_map<MapId, SE3> latest;  // of each map, over removed keyframes, too
+  for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i) {
+    const KeyframeId id(i);
+    const MapId of = map.keyframe(id).map;
+    if (of != c.map && (c.kind != LoopCorrection::Kind::kMerge || of != c.merged)) continue;
+    if (const auto it = named.find(id); it != named.end()) {
+      latest[of] = motion_of(*it->second);
+      if (map.contains(id)) all.push_back({id, latest[of], it->second});
+    } else if (id > newest && map.contains(id) && latest.contains(of)) {
+      all.push_back({id, latest[of], nullptr});
+    }
+  }
+  return all;
+}
+
+NavState moved(const NavState& now, const Motion& m) {
+  NavState s = now;
+  s.T_world_body = m.T_new_old * now.T_world_body;
+  s.v_world = m.T_new_old.rotation * now.v_world;
+  if (m.state) {
+    const NavState &before = m.state->before, &after = m.state->after;
+    s.v_world += after.v_world - m.T_new_old.rotation * before.v_world;
+    s.bias.gyro += after.bias.gyro - before.bias.gyro;
+    s.bias.accel += after.bias.accel - before.bias.accel;
+  }
+  return s;
+}
+
+}  // namespace
+
+Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionLimits& limits) {
+  if (Fault fault = check_names(map, c)) return fault;
+  if (Fault fault = check_finite(c)) return fault;
+  const Corrected corrected(map, c);
+  if (c.kind != LoopCorrection::Kind::kAdjustment) {
+    if (Fault fault = check_edge(map, c, corrected, limits)) return fault;
+    if (Fault fault = check_added(map, c, corrected, limits)) return fault;
+    if (Fault fault = check_connected(map, c, corrected)) return fault;
+  }
+  return c.points.empty() ? check_growth(map, c, corrected, limits) : std::nullopt;
+}
+
+CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
+                                   const CorrectionLimits& limits) {
+  CorrectionOutcome outcome;
+  if (Fault fault = find_fault(map, c, limits)) {
+    outcome.reason = *fault;
+    return outcome;
+  }
+  for (const Motion& m : motions(map, c)) {
+    map.set_state(m.keyframe, moved(map.keyframe(m.keyframe).state, m));
+    outcome.T_new_old = m.T_new_old;
+    ++outcome.moved;
+  }
+  for (const CorrectedPoint& p : c.points)
+    if (map.contains(p.landmark) && map.landmark(p.landmark).anchor == p.anchor)
+      map.set_p_anchor(p.landmark, p.p_anchor);
+  std::vector<LandmarkId> touched;
+  for (const LandmarkMerge& m : c.merges) {
+    const LandmarkId loser = map.resolve(m.loser), winner = map.resolve(m.winner);
+    if (!loser.valid() || !winner.valid() || loser == winner) continue;
+    map.replace_landmark(loser, winner);
+    ++outcome.merged;
+  }
+  for (const NewObservation& o : c.observations) {
+    const LandmarkId id = map.resolve(o.landmark);
+    if (!id.valid() || !map.add_observation(id, o.keyframe, o.keypoint)) continue;
+    touched.push_back(id);
+    ++outcome.observed;
+  }
+  std::sort(touched.begin(), touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+  for (const LandmarkId id : touched)
+    if (map.contains(id)) map.refresh_landmark(id);
+  if (c.kind == LoopCorrection::Kind::kMerge)
+    map.merge_maps(c.merged, c.map, c.edge.a);
+  if (c.kind != LoopCorrection::Kind::kAdjustment) {
+    map.add_loop_edge(c.edge);
+    map.note_frame_change();
+  }
+  outcome.applied = true;
+  return outcome;
+}
+
+}  // namespace fastloop::map
