@@ -199,7 +199,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->add_option("--config", args->config,
                       "YAML with options that differ from the defaults (docs/options.md)");
   command->add_flag("--deterministic", args->deterministic,
-                    "One thread of control: the same bytes in every run");
+                    "Tracking and mapping in one thread, with the same result (only --realtime "
+                    "depends on the clock)");
   command->add_flag("--realtime", args->realtime,
                     "Play at the recorded pace; frames that come too late are dropped and counted");
   command->add_option("--max-frames", args->max_frames, "Stop after this many frames; 0 = all")
@@ -207,7 +208,8 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->add_option("--start", args->start_s, "Skip this many seconds at the beginning")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  command->add_flag("--no-loop", args->no_loop, "Without loop closing (this version has none: no effect)");
+  command->add_flag("--no-loop", args->no_loop,
+                    "Without loop closing (this version has none: no effect)");
   command->add_flag("--quiet", args->quiet, "No progress lines");
   command->footer(
       "Example: fastloop run /data/MH_01_easy --out /tmp/mh01 && fastloop eval "

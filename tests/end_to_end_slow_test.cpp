@@ -37,8 +37,11 @@ fs::path fresh_folder(const std::string& name) {
 }
 
 /// Runs a recording and returns the bytes of every output that should not depend on the clock.
-std::map<std::string, std::string> outputs_of_run(const Recording& recording, const std::string& name) {
-  System system(recording.sequence.calibration(), small_options());
+std::map<std::string, std::string> outputs_of_run(const Recording& recording, const std::string& name,
+                                                  bool deterministic = true) {
+  auto options = small_options();
+  options.deterministic = deterministic;
+  System system(recording.sequence.calibration(), options);
   feed(system, recording);
   const fs::path folder = fresh_folder(name);
   io::prepare_output_folder(folder);
@@ -100,6 +103,16 @@ TEST(EndToEnd, DeterministicRunsWriteTheSameBytes) {
   EXPECT_GT(first.at("trajectory_body.txt").size(), 5000u);
   EXPECT_GT(first.at("map.ply").size(), 5000u);
   for (const auto& [name, bytes] : first) EXPECT_TRUE(bytes == second.at(name)) << name << " differs";
+}
+
+TEST(EndToEnd, ThreadsWriteTheSameBytesAsOneThread) {
+  const Recording recording(CameraKind::kPinhole, 12);
+  const auto one = outputs_of_run(recording, "one_thread");
+  for (const std::string name : {"threads_first", "threads_second"}) {
+    const auto threads = outputs_of_run(recording, name, false);
+    ASSERT_EQ(one.size(), threads.size());
+    for (const auto& [file, bytes] : one) EXPECT_TRUE(bytes == threads.at(file)) << file << " differs, " << name;
+  }
 }
 
 TEST(EndToEnd, SnapshotsCanBeReadWhileThreadsRun) {

@@ -46,7 +46,8 @@ void read_group(const YamlNode& root, const std::string& group, const Fields& fi
 }
 
 void read_options(const YamlNode& root, system::SystemOptions& o) {
-  root.allow_only({"orb", "tracking", "mapping"});
+  root.allow_only({"system", "orb", "tracking", "mapping"});
+  read_group(root, "system", {{"mapping_delay_frames", into(o.mapping_delay_frames)}});
   read_group(root, "orb",
              {{"num_features", into(o.orb.num_features)},
               {"levels", into(o.orb.levels)},
@@ -90,9 +91,7 @@ void read_options(const YamlNode& root, system::SystemOptions& o) {
               {"imu_refine_first_s", into(m.imu_refine_first_s)},
               {"imu_refine_second_s", into(m.imu_refine_second_s)}});
   try {
-    o.orb.validate();
-    o.tracking.validate();
-    o.mapping.validate();
+    o.validate();
   } catch (const InvalidArgument& e) {
     root.fail(e.what());
   }

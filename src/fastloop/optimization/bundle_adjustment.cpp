@@ -74,23 +74,27 @@ class Adjustment {
       : input_(problem),
         options_(options),
         shared_(problem.rig),
-        poses_(problem.poses.size()),
-        motions_(problem.poses.size()),
+        states_(problem.poses.size()),
         points_(problem.points),
         weights_(problem.observations.size()) {
-    for (std::size_t i = 0; i < poses_.size(); ++i) {
+    for (std::size_t i = 0; i < states_.size(); ++i) {
       const NavState& s = problem.poses[i].state;
-      pose_to_parameters(s.T_world_body, poses_[i].data());
-      Eigen::Map<Eigen::Matrix<double, 9, 1>>(motions_[i].data(), 9) << s.v_world, s.bias.gyro,
-          s.bias.accel;
+      pose_to_parameters(s.T_world_body, states_[i].pose.data());
+      Eigen::Map<Eigen::Matrix<double, 9, 1>>(states_[i].motion.data(), 9) << s.v_world,
+          s.bias.gyro, s.bias.accel;
     }
   }
 
   BundleResult run(BundleProblem& output);
 
  private:
-  using Pose = std::array<double, 7>;
-  using Motion = std::array<double, 9>;  ///< velocity, gyro bias, accel bias
+  /// Parameter blocks of one keyframe. They lie in one array, because Ceres eliminates blocks in
+  /// the order of their addresses: two arrays would be at the mercy of the heap, and with them the
+  /// last bits of the result.
+  struct State {
+    std::array<double, 7> pose;
+    std::array<double, 9> motion;  ///< velocity, gyro bias, accel bias
+  };
 
   void build();
   void add_observations();
@@ -108,8 +112,7 @@ class Adjustment {
   const BundleProblem& input_;
   const BundleOptions& options_;
   ReprojectionRig shared_;
-  std::vector<Pose> poses_;       ///< parameter blocks
-  std::vector<Motion> motions_;   ///< parameter blocks
+  std::vector<State> states_;     ///< parameter blocks
   std::vector<Vector3d> points_;  ///< parameter blocks
   std::vector<double> weights_;   ///< [observations] 0 = left out
   std::vector<std::uint8_t> point_used_, pose_used_;
@@ -135,7 +138,7 @@ void Adjustment::build() {
   options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   options.disable_all_safety_checks = true;
   problem_ = std::make_unique<ceres::Problem>(options);
-  pose_used_.assign(poses_.size(), 0);
+  pose_used_.assign(states_.size(), 0);
   point_used_.assign(points_.size(), 0);
   add_observations();
   add_imu_edges();
@@ -163,7 +166,7 @@ void Adjustment::add_observations() {
         cost = &costs4_.emplace_back(shared_, o.pixel, &weights_[i]);
         loss = &huber4_;
     }
-    double* const pose = poses_[o.pose].data();
+    double* const pose = states_[o.pose].pose.data();
     if (!pose_used_[o.pose]) problem_->AddParameterBlock(pose, 7, &manifold_);
     pose_used_[o.pose] = point_used_[o.point] = 1;
     problem_->AddResidualBlock(cost, options_.robust ? loss : nullptr, pose,
@@ -174,36 +177,37 @@ void Adjustment::add_observations() {
 void Adjustment::add_imu_edges() {
   for (const BundleImuEdge& e : input_.imu_edges) {
     for (const int i : {e.from, e.to}) {
-      if (!pose_used_[i]) problem_->AddParameterBlock(poses_[i].data(), 7, &manifold_);
+      if (!pose_used_[i]) problem_->AddParameterBlock(states_[i].pose.data(), 7, &manifold_);
       pose_used_[i] = 1;
     }
     ImuCost* const imu_cost = &imu_costs_.emplace_back(*e.imu);
-    problem_->AddResidualBlock(imu_cost, nullptr, poses_[e.from].data(), motions_[e.from].data(),
-                               motions_[e.from].data() + 3, poses_[e.to].data(),
-                               motions_[e.to].data(), motions_[e.to].data() + 3);
+    problem_->AddResidualBlock(imu_cost, nullptr, states_[e.from].pose.data(),
+                               states_[e.from].motion.data(), states_[e.from].motion.data() + 3,
+                               states_[e.to].pose.data(), states_[e.to].motion.data(),
+                               states_[e.to].motion.data() + 3);
   }
 }
 
 void Adjustment::fix_blocks() {
   bool any_fixed = false;
-  for (std::size_t i = 0; i < poses_.size(); ++i) {
+  for (std::size_t i = 0; i < states_.size(); ++i) {
     if (!pose_used_[i]) continue;
     any_fixed |= input_.poses[i].pose_fixed;
     num_free_poses_ += !input_.poses[i].pose_fixed;
-    if (input_.poses[i].pose_fixed) problem_->SetParameterBlockConstant(poses_[i].data());
-    if (input_.poses[i].motion_fixed && problem_->HasParameterBlock(motions_[i].data())) {
-      problem_->SetParameterBlockConstant(motions_[i].data());
-      problem_->SetParameterBlockConstant(motions_[i].data() + 3);
+    if (input_.poses[i].pose_fixed) problem_->SetParameterBlockConstant(states_[i].pose.data());
+    if (input_.poses[i].motion_fixed && problem_->HasParameterBlock(states_[i].motion.data())) {
+      problem_->SetParameterBlockConstant(states_[i].motion.data());
+      problem_->SetParameterBlockConstant(states_[i].motion.data() + 3);
     }
   }
   // Somebody has to hold the world in place: the first pose does when the caller fixed none. With
   // IMU measurements its roll and pitch must stay free to follow gravity.
-  for (std::size_t i = 0; i < poses_.size() && !any_fixed; ++i) {
+  for (std::size_t i = 0; i < states_.size() && !any_fixed; ++i) {
     if (!pose_used_[i]) continue;
     if (input_.imu_edges.empty()) {
-      problem_->SetParameterBlockConstant(poses_[i].data());
+      problem_->SetParameterBlockConstant(states_[i].pose.data());
     } else {
-      problem_->SetManifold(poses_[i].data(), &tilt_manifold_);
+      problem_->SetManifold(states_[i].pose.data(), &tilt_manifold_);
     }
     any_fixed = true;
   }
@@ -244,10 +248,10 @@ ceres::Solver::Options Adjustment::solver_options(int iterations, double seconds
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   for (std::size_t i = 0; i < points_.size(); ++i)
     if (point_used_[i]) ordering->AddElementToGroup(const_cast<double*>(points_[i].data()), 0);
-  for (std::size_t i = 0; i < poses_.size(); ++i) {
+  for (std::size_t i = 0; i < states_.size(); ++i) {
     if (!pose_used_[i]) continue;
-    ordering->AddElementToGroup(const_cast<double*>(poses_[i].data()), 1);
-    double* const motion = const_cast<double*>(motions_[i].data());
+    ordering->AddElementToGroup(const_cast<double*>(states_[i].pose.data()), 1);
+    double* const motion = const_cast<double*>(states_[i].motion.data());
     if (!problem_->HasParameterBlock(motion)) continue;
     ordering->AddElementToGroup(motion, 1);
     ordering->AddElementToGroup(motion + 3, 1);
@@ -276,7 +280,8 @@ bool Adjustment::solve(int iterations, bool only_to_gate, BundleResult* result) 
 
 double Adjustment::chi2(std::size_t i, int* size) const {
   const BundleObservation& o = input_.observations[i];
-  const Vector3d p_body = pose_from_parameters(poses_[o.pose].data()).inverse() * points_[o.point];
+  const Vector3d p_body =
+      pose_from_parameters(states_[o.pose].pose.data()).inverse() * points_[o.point];
   StereoRig::Residual r;
   *size = shared_.model.residual(shared_.T_left_body * p_body, o.pixel, &r);
   double sum = 0;
@@ -314,7 +319,8 @@ double Adjustment::kept_cost() const {
   for (std::size_t i = 0; i < imu_costs_.size(); ++i) {
     const BundleImuEdge& e = input_.imu_edges[i];
     const auto state = [&](int k) {
-      return state_from_parameters(poses_[k].data(), motions_[k].data(), motions_[k].data() + 3);
+      return state_from_parameters(states_[k].pose.data(), states_[k].motion.data(),
+                                   states_[k].motion.data() + 3);
     };
     sum += imu_costs_[i].factor().residual(state(e.from), state(e.to)).squaredNorm();
   }
@@ -327,18 +333,18 @@ bool Adjustment::is_state_finite() const {
   };
   for (std::size_t i = 0; i < points_.size(); ++i)
     if (point_used_[i] && !points_[i].allFinite()) return false;
-  return std::all_of(poses_.begin(), poses_.end(), finite) &&
-         std::all_of(motions_.begin(), motions_.end(), finite);
+  return std::all_of(states_.begin(), states_.end(),
+                     [&](const State& s) { return finite(s.pose) && finite(s.motion); });
 }
 
 void Adjustment::write(BundleProblem& output) const {
-  for (std::size_t i = 0; i < poses_.size(); ++i) {
+  for (std::size_t i = 0; i < states_.size(); ++i) {
     if (!pose_used_[i]) continue;
-    const NavState s =
-        state_from_parameters(poses_[i].data(), motions_[i].data(), motions_[i].data() + 3);
+    const NavState s = state_from_parameters(states_[i].pose.data(), states_[i].motion.data(),
+                                             states_[i].motion.data() + 3);
     // Blocks that were held are left as they were, to the last bit.
     NavState& target = output.poses[i].state;
-    if (!problem_->IsParameterBlockConstant(poses_[i].data()))
+    if (!problem_->IsParameterBlockConstant(states_[i].pose.data()))
       target.T_world_body = SE3(s.T_world_body.rotation, s.T_world_body.translation);
     target.v_world = s.v_world;
     target.bias = s.bias;
@@ -356,13 +362,11 @@ BundleResult Adjustment::run(BundleProblem& output) {
     result.reason = "no usable observations";
     return result;
   }
-  auto poses = poses_;
-  auto motions = motions_;
+  auto states = states_;
   auto points = points_;
   const auto exchange_with_start = [&] {
     // The blocks keep their addresses, which Ceres knows.
-    std::swap_ranges(poses_.begin(), poses_.end(), poses.begin());
-    std::swap_ranges(motions_.begin(), motions_.end(), motions.begin());
+    std::swap_ranges(states_.begin(), states_.end(), states.begin());
     std::swap_ranges(points_.begin(), points_.end(), points.begin());
   };
   bool usable = solve(options_.iterations, options_.iterations_after_gate > 0, &result);

@@ -30,6 +30,11 @@ SystemOptions complete(SystemOptions options, Mode mode) {
   return options;
 }
 
+WorkerPace pace_of(const SystemOptions& options) {
+  return {!options.deterministic, options.drop_when_busy,
+          static_cast<std::uint32_t>(options.mapping_delay_frames)};
+}
+
 bool is_finite(const ImuSample& s) {
   return s.gyro.allFinite() && s.accel.allFinite();
 }
@@ -58,6 +63,14 @@ const char* to_string(Mode mode) {
   return "unknown";
 }
 
+void SystemOptions::validate() const {
+  if (mapping_delay_frames < 1)
+    throw InvalidArgument("SystemOptions::mapping_delay_frames must be at least 1");
+  orb.validate();
+  tracking.validate();
+  mapping.validate();
+}
+
 struct System::Impl {
   SystemOptions options;
   StageTimes times;
@@ -77,7 +90,7 @@ struct System::Impl {
         tracker(options.tracking, calibration.imu, &times),
         worker(
             builder.rig(), PyramidScales(options.orb.levels, options.orb.scale_factor),
-            options.mapping, !options.deterministic,
+            options.mapping, pace_of(options),
             [this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); },
             &times) {}
 
@@ -122,6 +135,7 @@ struct System::Impl {
 
 System::System(const Calibration& calibration, const SystemOptions& options) {
   calibration.validate();
+  options.validate();
   impl_ = std::make_unique<Impl>(calibration, options);
 }
 
@@ -133,15 +147,20 @@ const FrameRecord& System::process(const FrameInput& input) {
   if (!s.frames.empty() && input.stamp_ns <= s.frames.back().stamp_ns)
     throw InvalidArgument("frames must come in time order");
   const Stopwatch watch;
+  const auto frame = static_cast<std::uint32_t>(s.frames.size());
   tracking::Tracker::Input in;
-  in.id = FrameId(static_cast<std::uint32_t>(s.frames.size()));
+  in.id = FrameId(frame);
   in.stamp_ns = input.stamp_ns;
   in.features = std::make_shared<const FeatureSet>(s.builder.build(input, &s.times));
   std::vector<ImuSample> finite_imu;
   in.imu = s.usable_imu(input, finite_imu);
-  in.mapping_idle = s.options.deterministic || s.worker.idle();
+  const Stopwatch wait_watch;
+  const MappingWorker::View view = s.worker.view(frame);
+  const double waited_ms = wait_watch.elapsed_ms();
+  s.times.add("wait_for_mapping", waited_ms);
+  in.mapping_idle = view.idle;
   in.mapping_full = s.options.drop_when_busy && s.worker.full();
-  tracking::TrackResult result = s.tracker.track(in, s.worker.snapshot());
+  tracking::TrackResult result = s.tracker.track(in, view.snapshot);
 
   FrameRecord record;
   record.stamp_ns = input.stamp_ns;
@@ -151,15 +170,11 @@ const FrameRecord& System::process(const FrameInput& input) {
   record.reference = result.reference;
   record.T_reference_body = result.T_reference_body;
   record.inliers = result.inliers;
-  record.tracking_ms = watch.elapsed_ms();
+  record.tracking_ms = watch.elapsed_ms() - waited_ms;
   s.times.add("track_total", record.tracking_ms);
   s.note_state(record, result.reason);
   s.frames.push_back(record);
-  if (result.keyframe) {
-    // The first keyframe of a map is waited for: without it there is nothing to track against.
-    const bool wait = result.keyframe->starts_map;
-    s.worker.submit(std::move(*result.keyframe), wait);
-  }
+  if (result.keyframe) s.worker.submit(std::move(*result.keyframe), frame);
   return s.frames.back();
 }
 
@@ -182,8 +197,14 @@ const StageTimes& System::times() const {
 }
 
 std::vector<Event> System::events() const {
-  const std::lock_guard lock(impl_->events_mutex);
-  return impl_->events;
+  std::vector<Event> events;
+  {
+    const std::lock_guard lock(impl_->events_mutex);
+    events = impl_->events;
+  }
+  std::stable_sort(events.begin(), events.end(),
+                   [](const Event& a, const Event& b) { return a.stamp_ns < b.stamp_ns; });
+  return events;
 }
 
 bool System::imu_initialized() const {

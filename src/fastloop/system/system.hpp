@@ -21,12 +21,18 @@ const char* to_string(Mode mode);
 
 struct SystemOptions {
   Mode mode = Mode::kAuto;     ///< kAuto: what the calibration offers
-  bool deterministic = false;  ///< everything in the calling thread, bit-identical from run to run
-  bool drop_when_busy =
-      false;  ///< live operation: no keyframe is requested while mapping is behind
+  bool deterministic = false;  ///< everything in the calling thread; the same poses as with threads
+  /// Live operation: tracking sees the newest map at once, and no keyframe is requested while
+  /// mapping is behind. Otherwise the frame count decides what tracking sees, and a run can be
+  /// repeated bit by bit.
+  bool drop_when_busy = false;
+  /// Not live: tracking sees what mapping made of a keyframe this many frames later, and waits for
+  /// it if need be. Less is fresher, more leaves mapping more time beside tracking.
+  std::size_t mapping_delay_frames = 4;
   OrbOptions orb;
   tracking::TrackingOptions tracking;
   mapping::MappingOptions mapping;
+  void validate() const;  ///< throws InvalidArgument naming the field
 };
 
 /// Something a user may want to know later: state changes, IMU initialisation, new maps.
@@ -46,14 +52,15 @@ struct FrameRecord {
   KeyframeId reference;   ///< the final pose is that of the keyframe times T_reference_body
   SE3 T_reference_body;
   int inliers = 0;
-  double tracking_ms = 0;  ///< from images to pose
+  double tracking_ms = 0;  ///< from images to pose, without waiting for mapping
 };
 
 /// The SLAM system: feed frames in time order, read poses and the map.
 ///
 /// Threads: `process` is called from one thread and returns the pose of that frame; mapping runs in
-/// a worker of its own (unless deterministic). `snapshot`, `events` may be read from any thread.
-/// Errors of the worker are rethrown by the next `process` or by `finish`.
+/// a worker of its own (unless deterministic). What tracking sees of it follows the frame count, so
+/// the result does not depend on the threads, except in live operation. `snapshot`, `events` may be
+/// read from any thread. Errors of the worker are rethrown by the next `process` or by `finish`.
 class System {
  public:
   System(const Calibration& calibration, const SystemOptions& options);
@@ -70,6 +77,7 @@ class System {
   Mode mode() const;
   std::shared_ptr<const map::Snapshot> snapshot() const;
   const std::vector<FrameRecord>& frames() const;
+  /// In time order; what mapping reports of a keyframe comes after what tracking reported.
   std::vector<Event> events() const;
   const StageTimes& times() const;
   bool imu_initialized() const;
