@@ -15,7 +15,7 @@ namespace {
 using namespace fastloop::optimization;
 
 struct PoseGraphArguments {
-  std::string file, out, solver = "block", information = "g2o", kernel = "none";
+  std::string file, out, solver = "block", information = "sesync", kernel = "none";
   std::optional<int> dof;
   bool json = false, fixed_scale = false;
   double rejection_gate = 0;
@@ -109,8 +109,8 @@ void add_posegraph_command(CLI::App& app, int& exit_code) {
       ->check(CLI::IsMember({4, 6, 7}));
   command->add_flag("--fixed-scale", a->fixed_scale, "With --dof 7: keep the scale of every vertex");
   command->add_option("--information", a->information,
-                      "How the information of SE3:QUAT edges is read: g2o (weights half the rotation vector), angle "
-                      "(the rotation vector, as GTSAM) or sesync (isotropic means, as SE-Sync)")
+                      "What the information of SE3:QUAT edges weights: sesync (isotropic means of it the rotation "
+                      "vector, as SE-Sync), angle (the rotation vector, as GTSAM) or g2o (half of it, as g2o)")
       ->check(CLI::IsMember({"g2o", "angle", "sesync"}))
       ->capture_default_str();
   command->add_option("--threads", a->options.threads, "Threads; the result does not depend on it")

@@ -260,10 +260,13 @@ G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name, std
     if (problem.information.empty() || problem.information.back() != information)
       problem.information.push_back(information);
     edge.information = static_cast<int>(problem.information.size()) - 1;
+    if (meaning == G2oInformation::kIsotropic && e.family == Family::kSe3 && problem.kind != PoseGraphKind::kSim3)
+      graph.se3_information.push_back(e.information.topLeftCorner<6, 6>());
     edge.switchable = std::abs(edge.from - edge.to) > 1;
     problem.edges.push_back(edge);
   }
   if (problem.information.empty()) problem.information.push_back(PoseGraphInformation::Identity());
+  if (graph.se3_information.size() != problem.edges.size()) graph.se3_information.clear();
   return graph;
 }
 
@@ -296,6 +299,7 @@ void write_g2o(const std::filesystem::path& path, const G2oGraph& graph, G2oInfo
       text += "FIX " + std::to_string(graph.ids[i]) + "\n";
   }
   const int order[7] = {3, 4, 5, 0, 1, 2, 6};
+  std::size_t edge_index = 0;
   for (const PoseGraphEdge& e : problem.edges) {
     text += std::string("EDGE_") + family + " " + std::to_string(graph.ids.at(e.from)) + " " +
             std::to_string(graph.ids.at(e.to));
@@ -313,8 +317,10 @@ void write_g2o(const std::filesystem::path& path, const G2oGraph& graph, G2oInfo
     m.topRows<3>() *= factor;
     m.leftCols<3>() *= factor;
     const int size = sim3 ? 7 : 6;
+    const bool as_read = !sim3 && meaning == G2oInformation::kIsotropic && !graph.se3_information.empty();
     for (int r = 0; r < size; ++r)
-      for (int c = r; c < size; ++c) put(m(order[r], order[c]));
+      for (int c = r; c < size; ++c) put(as_read ? graph.se3_information.at(edge_index)(r, c) : m(order[r], order[c]));
+    ++edge_index;
     text += "\n";
   }
   write_text_file(path, text);

@@ -18,10 +18,16 @@ enum class G2oInformation : int {
                     ///< problem that SE-Sync solves; half its chordal objective is then the cost
 };
 
+/// The reading under which results can be checked against certified optima; docs/pose-graph.md says more.
+inline constexpr G2oInformation kDefaultG2oInformation = G2oInformation::kIsotropic;
+
 /// A pose graph as a g2o file holds it.
 struct G2oGraph {
   optimization::PoseGraphProblem problem;
   std::vector<std::int64_t> ids;  ///< [n] vertex ids of the file, ascending
+  /// [edges] information of EDGE_SE3:QUAT lines as it was read, in the order of the file; empty unless it was read
+  /// as kIsotropic, which keeps only its means. Written back as it was.
+  std::vector<Matrix6d> se3_information;
 };
 
 /// Reads a g2o file:
@@ -40,13 +46,13 @@ struct G2oGraph {
 /// @throws InputError with the line for anything that cannot be read, for edges to vertices that are not in the file,
 ///         and for numbers that are not finite
 G2oGraph read_g2o(const std::filesystem::path& path, std::optional<int> dof = std::nullopt,
-                  G2oInformation information = G2oInformation::kQuaternion);
+                  G2oInformation information = kDefaultG2oInformation);
 G2oGraph parse_g2o(std::string_view text, const std::filesystem::path& name,
                    std::optional<int> dof = std::nullopt,
-                   G2oInformation information = G2oInformation::kQuaternion);
+                   G2oInformation information = kDefaultG2oInformation);
 
 /// Writes SE3:QUAT (kYaw, kSe3) or SIM3:QUAT (kSim3) lines with 17 significant digits.
 void write_g2o(const std::filesystem::path& path, const G2oGraph& graph,
-               G2oInformation information = G2oInformation::kQuaternion);
+               G2oInformation information = kDefaultG2oInformation);
 
 }  // namespace fastloop::io

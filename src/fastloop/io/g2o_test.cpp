@@ -32,7 +32,7 @@ TEST(G2o, ReadsSe3WithIdsInAnyOrder) {
   const std::string text = std::string("# two vertices\n") + "VERTEX_SE3:QUAT 9 4 5 6 0 0 0.6 0.8\r\n" +
                            "VERTEX_SE3:QUAT 2 1 2 3 0 0 0 2\n\nFIX 9\n" +
                            "EDGE_SE3:QUAT 9 2 1 0 0 0 0 0 1 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21\n";
-  const G2oGraph g = parse_g2o(text, "graph.g2o");
+  const G2oGraph g = parse_g2o(text, "graph.g2o", std::nullopt, G2oInformation::kQuaternion);
   EXPECT_EQ(g.problem.kind, PoseGraphKind::kSe3);
   ASSERT_EQ(g.ids, (std::vector<std::int64_t>{2, 9}));
   EXPECT_EQ(g.problem.poses[0].translation, Vector3d(1, 2, 3));
@@ -56,6 +56,24 @@ TEST(G2o, ReadsSe3WithIdsInAnyOrder) {
   EXPECT_EQ(x(0, 0), 64);
   EXPECT_EQ(x(3, 0), 8);
   EXPECT_EQ(x(3, 3), 1);
+}
+
+/// SE-Sync's weights: harmonic means of the eigenvalues, for the rotation vector, twice our residual.
+TEST(G2o, DefaultReadingTakesIsotropicMeansAndWritesBackWhatItRead) {
+  const std::string text =
+      "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n"
+      "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 1 0 0 0 0 0.25 2 0 0 0 0 4 0 0 0 10 0 0 20 0 30\n";
+  const G2oGraph g = parse_g2o(text, "graph.g2o");
+  const auto& w = g.problem.information[0];
+  EXPECT_NEAR(w(0, 0), 4 * 3 / (1 / 10.0 + 1 / 20.0 + 1 / 30.0), 1e-12);
+  EXPECT_NEAR(w(3, 3), 3 / (1 / 1.0 + 1 / 2.0 + 1 / 4.0), 1e-12);
+  EXPECT_TRUE(Matrix7d(w).isDiagonal());
+  const auto path = std::filesystem::temp_directory_path() / ("fastloop_g2o_means_" + std::to_string(getpid()));
+  write_g2o(path, g);
+  const G2oGraph again = read_g2o(path, std::nullopt, G2oInformation::kQuaternion);
+  const G2oGraph direct = parse_g2o(text, "graph.g2o", std::nullopt, G2oInformation::kQuaternion);
+  EXPECT_EQ(again.problem.information[0], direct.problem.information[0]);
+  std::filesystem::remove(path);
 }
 
 TEST(G2o, ReportsTheLine) {
@@ -106,6 +124,18 @@ TEST(G2o, PlanarGraphsStayInThePlane) {
       EXPECT_NEAR(p.translation.z(), 0, 1e-12);
       EXPECT_NEAR(p.rotation.x(), 0, 1e-12);
     }
+    if (dof != 4) continue;
+    // A minimum of the planar problem: no small change of (x, y, theta) lowers the cost. The first is held.
+    for (std::size_t i = 1; i < g.problem.poses.size(); ++i) {
+      for (const Vector3d& d : {Vector3d(1, 0, 0), Vector3d(0, 1, 0), Vector3d(0, 0, 1)}) {
+        for (double step : {-1e-3, 1e-3}) {
+          optimization::PoseGraphProblem p = g.problem;
+          p.poses[i].translation.head<2>() += step * d.head<2>();
+          p.poses[i].rotation = so3::exp(Vector3d(0, 0, step * d.z())) * p.poses[i].rotation;
+          EXPECT_GT(optimization::pose_graph_cost(p), result.final_cost) << i;
+        }
+      }
+    }
   }
 }
 
@@ -137,7 +167,8 @@ TEST(G2o, RoundTripKeepsTheCost) {
                            kIdentity7 + "\n";
   const auto path = std::filesystem::temp_directory_path() / ("fastloop_g2o_test_" + std::to_string(getpid()));
   for (int dof : {4, 6, 7}) {
-    for (auto meaning : {G2oInformation::kRotationVector, G2oInformation::kQuaternion}) {
+    for (auto meaning :
+         {G2oInformation::kRotationVector, G2oInformation::kQuaternion, G2oInformation::kIsotropic}) {
       const G2oGraph first = parse_g2o(dof == 7 ? sim3 : se3, "a.g2o", dof, meaning);
       write_g2o(path, first, meaning);
       const G2oGraph second = read_g2o(path, dof, meaning);
