@@ -40,28 +40,32 @@ FASTLOOP_HD inline bool normal_of(const float p[9], float n[3]) {
   return true;
 }
 
-/// Rotation that takes unit vector `from` to unit vector `to` the short way; `across` is any unit
-/// vector orthogonal to `from`, the axis when they are opposite.
+/// Rotation that takes unit vector `from` to unit vector `to`; `across` is any unit vector orthogonal
+/// to `from`. Vectors more than a right angle apart are turned over about `across` first, so that
+/// nothing is divided by a small number.
 FASTLOOP_HD inline void rotation_between(const float from[3], const float to[3],
                                          const float across[3], float r[9]) {
-  const float c = dot(from, to);
-  if (c < -0.999999f) {
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        r[3 * i + j] = 2.0f * across[i] * across[j] - (i == j ? 1.0f : 0.0f);
-    return;
-  }
-  float v[3];
-  cross(from, to, v);
+  const bool turn_over = dot(from, to) < 0;
+  const float sign = turn_over ? -1.0f : 1.0f;
+  const float a[3] = {sign * from[0], sign * from[1], sign * from[2]};
+  const float c = dot(a, to);
+  float v[3], s[9];
+  cross(a, to, v);
   const float k = 1.0f / (1.0f + c);
   for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) r[3 * i + j] = k * v[i] * v[j] + (i == j ? c : 0.0f);
-  r[1] -= v[2];
-  r[2] += v[1];
-  r[3] += v[2];
-  r[5] -= v[0];
-  r[6] -= v[1];
-  r[7] += v[0];
+    for (int j = 0; j < 3; ++j) s[3 * i + j] = k * v[i] * v[j] + (i == j ? c : 0.0f);
+  s[1] -= v[2];
+  s[2] += v[1];
+  s[3] += v[2];
+  s[5] -= v[0];
+  s[6] -= v[1];
+  s[7] += v[0];
+  for (int i = 0; i < 3; ++i) {
+    // s * (2 across across^T - 1) when turned over, s otherwise.
+    const float along = s[3 * i] * across[0] + s[3 * i + 1] * across[1] + s[3 * i + 2] * across[2];
+    for (int j = 0; j < 3; ++j)
+      r[3 * i + j] = turn_over ? 2.0f * along * across[j] - s[3 * i + j] : s[3 * i + j];
+  }
 }
 
 FASTLOOP_HD inline void apply(const float r[9], const float p[3], float out[3]) {
