@@ -29,8 +29,8 @@ struct View {
     return map.rig().left.unproject({features.x[i], features.y[i]});
   }
   Vector3d stereo_point(std::uint32_t i) const {
-    const Vector3d r = ray(i);
-    return T_world_camera * Vector3d(r * (features.depth_m[i] / r.z()));
+    return T_world_camera *
+           map.rig().point_at_depth({features.x[i], features.y[i]}, features.depth_m[i]);
   }
   /// Cosine of the parallax that the stereo baseline alone gives; 1 without depth.
   double stereo_cosine(std::uint32_t i) const {
@@ -99,8 +99,8 @@ std::vector<LandmarkId> create_from_stereo(map::Map& map, KeyframeId id,
     if (depth > close_m && considered >= options.min_stereo_landmarks) break;
     ++considered;
     if (map.keyframe(id).landmarks[i].valid()) continue;
-    const Vector3d ray = rig.left.unproject({features->x[i], features->y[i]});
-    created.push_back(map.add_landmark(id, i, T_world_camera * Vector3d(ray * (depth / ray.z()))));
+    const Vector3d p_left = rig.point_at_depth({features->x[i], features->y[i]}, depth);
+    created.push_back(map.add_landmark(id, i, T_world_camera * p_left));
   }
   return created;
 }

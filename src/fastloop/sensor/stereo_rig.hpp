@@ -39,6 +39,12 @@ struct StereoRig {
   using Residual = Eigen::Matrix<double, kMaxResidual, 1>;
   using Jacobian = Eigen::Matrix<double, kMaxResidual, 3>;
 
+  /// The point that a left pixel shows at a depth (z in the frame of the left camera).
+  Vector3d point_at_depth(const Eigen::Vector2d& pixel, double depth_m) const {
+    const Vector3d ray = left.unproject(pixel);
+    return ray * (depth_m / ray.z());
+  }
+
   int residual_size(const PixelObservation& z) const {
     return !z.has_right() ? 2 : kind == Kind::kRectified ? 3 : 4;
   }

@@ -23,8 +23,8 @@ std::vector<Source> collect_sources(const map::Snapshot& snapshot, const Tracked
     if (id.valid()) {
       sources.push_back({id, snapshot.p_world(id), i});
     } else if (f.has_depth(i) && f.depth_m[i] < close_depth_m) {
-      const Vector3d ray = rig.left.unproject({f.x[i], f.y[i]});
-      sources.push_back({{}, T_world_camera * Vector3d(ray * (f.depth_m[i] / ray.z())), i});
+      const Vector3d p_left = rig.point_at_depth({f.x[i], f.y[i]}, f.depth_m[i]);
+      sources.push_back({{}, T_world_camera * p_left, i});
     }
   }
   return sources;

@@ -20,8 +20,9 @@ void LocalMap::choose_keyframes(const map::Snapshot& snapshot,
   reference_ = KeyframeId{};
   votes_.assign(snapshot.keyframe_slots(), 0);
   std::vector<KeyframeId> voted;
-  for (const LandmarkId id : landmarks) {
-    if (!id.valid() || !snapshot.contains(id)) continue;
+  for (const LandmarkId matched : landmarks) {
+    const LandmarkId id = snapshot.resolve(matched);
+    if (!id.valid()) continue;
     for (const map::Observation& o : snapshot.landmark(id).observations)
       if (votes_[o.keyframe.value()]++ == 0) voted.push_back(o.keyframe);
   }

@@ -51,9 +51,9 @@ std::vector<Pair> match(const map::Snapshot& snapshot, const FeatureSet& f, Keyf
   for (const std::uint32_t o : owners) {
     if (claim[o].first > kMaxDistance) continue;
     const std::uint32_t i = claim[o].second;
-    const Vector3d ray = rig.left.unproject({f.x[i], f.y[i]});
-    pairs.push_back({i, k.landmarks[o], rig.T_body_left * Vector3d(ray * (f.depth_m[i] / ray.z())),
-                     snapshot.p_world(k.landmarks[o])});
+    const Vector3d p_left = rig.point_at_depth({f.x[i], f.y[i]}, f.depth_m[i]);
+    pairs.push_back(
+        {i, k.landmarks[o], rig.T_body_left * p_left, snapshot.p_world(k.landmarks[o])});
   }
   return pairs;
 }

@@ -111,6 +111,19 @@ TEST_F(Search, LocalMapHoldsExactlyTheLandmarksOfItsKeyframes) {
   }
 }
 
+TEST_F(Search, LocalMapFollowsMergedLandmarks) {
+  // A frame that matched a landmark which mapping has merged into another since.
+  LandmarkId loser, winner;
+  for (const LandmarkId l : m.map.keyframe(KeyframeId(4)).landmarks)
+    if (l.valid()) (loser.valid() ? winner : loser) = l;
+  m.map.replace_landmark(loser, winner);
+  LocalMap local;
+  local.update(m.map, {loser}, KeyframeId{}, 10);
+  ASSERT_TRUE(local.reference().valid());
+  const auto& seen = m.map.keyframe(local.reference()).landmarks;
+  EXPECT_NE(std::find(seen.begin(), seen.end(), winner), seen.end());
+}
+
 TEST_F(Search, LocalMapSurvivesRemovedAndMissingThings) {
   LocalMap local;
   local.update(m.map, {}, KeyframeId{}, 10);

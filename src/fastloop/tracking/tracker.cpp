@@ -129,6 +129,8 @@ TrackResult Tracker::initialise(const Input& input) {
     return result;
   }
   frame_.state.T_world_body = level_pose(input);
+  // The number the map will get: after those of the snapshot and those requested since.
+  maps_started_ = std::max(maps_started_, static_cast<std::uint32_t>(snapshot_->maps().size()));
   map_ = MapId(maps_started_++);
   // Requests still waiting to be mapped have taken slots that the snapshot does not show yet.
   next_keyframe_ =
@@ -164,6 +166,7 @@ void Tracker::follow_map_changes() {
       prior_->mean.v_world = correction.rotation * prior_->mean.v_world;
     }
     pose_version_ = snapshot_->pose_version();
+    if (map_exists()) map_ = snapshot_->resolve(map_);
     from_keyframe_ = snapshot_->contains(last_keyframe_);
   }
   if (imu_ready() && !velocity_known_) from_keyframe_ = true;
@@ -307,7 +310,8 @@ bool Tracker::optimise_against_local_map() {
       points.push_back(snapshot_->p_world(frame_.landmarks[i]));
     }
   const std::size_t num_landmarks = keypoints.size();
-  if (num_landmarks < kStereoPointsHelpBelow)
+  // Stereo points of a lost frame hang on its guessed pose: only landmarks lead back to the map.
+  if (num_landmarks < kStereoPointsHelpBelow && state_ != State::kRecentlyLost)
     for (const PointMatch& m : stereo_matches_)
       if (!frame_.landmarks[m.keypoint].valid()) {
         keypoints.push_back(m.keypoint);

@@ -100,12 +100,13 @@ class Stream {
   }
   /// The next frame; blind: without a single keypoint.
   TrackResult next(bool blind = false) {
+    const SyntheticWorld& around = elsewhere ? *elsewhere : world;
     const Nanoseconds stamp = frame_ * kFrameNs;
     SyntheticView view;
     if (blind)
-      finish(view, world.rig.left);
+      finish(view, around.rig.left);
     else
-      view = map::testing::observe(world, truth(), {.noise_px = 0.1, .clutter = 50}, rng_);
+      view = map::testing::observe(around, truth(), {.noise_px = 0.1, .clutter = 50}, rng_);
     std::vector<ImuSample> samples;
     if (imu_works)
       samples =
@@ -144,6 +145,7 @@ class Stream {
   StandInMapping mapping;
   Tracker tracker;
   bool imu_works = true;
+  std::optional<SyntheticWorld> elsewhere;  ///< if set, what the camera sees instead of `world`
   Vector3d accel_error = Vector3d::Zero();
 
  private:
@@ -284,6 +286,16 @@ TEST_P(InertialTracker, RelocalisationIsNotTakenForMotion) {
   stream.accel_error.setZero();
   worst_velocity_error = 3;  // 20 m/s would be the jump over one frame
   expect_tracking(40);
+}
+
+/// Carried to a place without a landmark while blind: good stereo, but no way back to the map.
+TEST_P(InertialTracker, StereoPointsAloneAreNoRelocalisation) {
+  stream.run(10, true);
+  stream.elsewhere.emplace(2500, Vector3d(4, 4, 2.5), 77);
+  for (const TrackResult& r : stream.run(40)) ASSERT_EQ(r.state, State::kRecentlyLost) << r.reason;
+  stream.elsewhere.reset();
+  worst_velocity_error = 3;
+  expect_tracking(20);
 }
 
 TEST_P(InertialTracker, GoesOnWhenTheImuFallsSilent) {
