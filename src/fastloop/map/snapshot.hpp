@@ -72,6 +72,7 @@ class Snapshot {
 
  protected:
   friend class Map;
+  friend class MapFileAccess;  // fills a map from a file
   using Keyframes = CowVector<Keyframe, 8>;
   using Landmarks = CowVector<Landmark, 64>;
   using Covisibility = CowVector<std::vector<CovisibilityEdge>, 8>;

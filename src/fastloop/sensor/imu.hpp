@@ -55,6 +55,7 @@ class PreintegratedImu {
   double duration_s() const { return to_seconds(end_ns_ - begin_ns_); }
   const ImuBias& bias() const { return bias_; }  ///< bias of the linearisation
   std::span<const ImuSample> samples() const { return samples_; }
+  const ImuCalibration& noise() const { return noise_; }
 
   /// Increments corrected to first order for `bias`.
   Eigen::Quaterniond delta_rotation(const ImuBias& bias) const;
