@@ -64,6 +64,7 @@ class MapFileAccess {
     r.section("map");
     r.entry();
     const auto version = r.get<std::uint64_t>(), pose_version = r.get<std::uint64_t>();
+    const auto frame_version = r.get<std::uint64_t>();
     MapSizes n;
     for (std::uint32_t* size : {&n.keyframes, &n.landmarks, &n.maps, &n.loop_edges, &n.extras})
       *size = r.get<std::uint32_t>();
@@ -74,6 +75,7 @@ class MapFileAccess {
     Map& map = result.map;
     map.version_ = version;
     map.pose_version_ = pose_version;
+    map.frame_version_ = frame_version;
     map.num_keyframes_ = live_keyframes;
     map.num_landmarks_ = live_landmarks;
     read_maps(r, n, map);
@@ -222,6 +224,7 @@ void write_map_file(const std::filesystem::path& path, const Snapshot& s,
   head.add([&](ByteWriter& w) {
     w.put(s.version());
     w.put(s.pose_version());
+    w.put(s.frame_version());
     for (const std::size_t size : {s.keyframe_slots(), s.landmark_slots(), s.maps().size(),
                                    s.loop_edges().size(), extras.size()})
       w.put(static_cast<std::uint32_t>(size));
