@@ -4,8 +4,9 @@
   scripts/imu_convergence.py GROUNDTRUTH OUT/trajectory_live.txt [--seconds 15] [--max-tilt 0.5] [--max-scale 0.01]
 
 GROUNDTRUTH: EuRoC csv or TUM file with z up. Tilt is the angle between the estimated and the true direction of gravity in the body
-frame, which needs no alignment. Scale is the factor of a similarity alignment of the window before the limit (a third of it). Times
-count from the first pose of the estimate. Exit code 4 when a limit is missed at --seconds.
+frame. Scale is the factor that fits the lengths of the true movements over half a second to the estimated ones, from a third of the
+time to the limit. Neither needs an alignment, so the turns of the world at an initialisation do no harm. Times count from the first
+pose of the estimate. Exit code 4 when a limit is missed at --seconds.
 """
 import argparse
 import sys
@@ -39,12 +40,14 @@ def up_in_body(q):
     return np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
 
 
-def similarity_scale(reference, estimate):
-    """Factor that a least-squares similarity gives the estimate (Umeyama)."""
-    a, b = reference - reference.mean(axis=0), estimate - estimate.mean(axis=0)
-    u, d, vt = np.linalg.svd(a.T @ b)
-    d[2] *= np.sign(np.linalg.det(u @ vt))
-    return d.sum() / (b**2).sum()
+def movement_scale(t, reference, estimate, begin, end, span=0.5):
+    """Least-squares factor between the lengths of movements over `span` seconds that lie in [begin, end]."""
+    later = np.searchsorted(t, t + span)
+    first = np.nonzero((t >= begin) & (later < t.size))[0]
+    first = first[t[later[first]] <= end]
+    a = np.linalg.norm(reference[later[first]] - reference[first], axis=1)
+    b = np.linalg.norm(estimate[later[first]] - estimate[first], axis=1)
+    return (a * b).sum() / (b * b).sum()
 
 
 def main():
@@ -73,11 +76,10 @@ def main():
     bad = np.nonzero(tilt > args.max_tilt)[0]
     last_bad = t[bad[-1]] if bad.size else 0.0
     at = np.searchsorted(t, args.seconds, side="right") - 1
-    window = (t > args.seconds * 2 / 3) & (t <= args.seconds)
-    scale = similarity_scale(truth_p[window], p[window])
+    scale = movement_scale(t, truth_p, p, args.seconds / 3, args.seconds)
 
     print(f"tilt at {args.seconds:g} s      {tilt[at]:.3f} deg (limit {args.max_tilt:g}); above the limit for the last time at {last_bad:.2f} s")
-    print(f"scale, {args.seconds * 2 / 3:g} to {args.seconds:g} s  {scale:.5f} (limit 1 +- {args.max_scale:g})")
+    print(f"scale, {args.seconds / 3:g} to {args.seconds:g} s  {scale:.5f} (limit 1 +- {args.max_scale:g})")
     return 0 if tilt[at] <= args.max_tilt and abs(scale - 1) <= args.max_scale else 4
 
 

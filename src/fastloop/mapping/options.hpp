@@ -23,7 +23,7 @@ struct MappingOptions {
   double max_imu_gap_s = 3;    ///< culling never leaves a longer gap between neighbours
   int imu_min_keyframes = 10;  ///< initialisation
   double imu_min_seconds = 2;
-  double imu_refine_first_s = 5, imu_refine_second_s = 15;
+  double imu_refine_first_s = 5, imu_refine_second_s = 13;
   void validate() const;  ///< throws InvalidArgument naming the field
 };
 
