@@ -22,7 +22,8 @@ std::atomic<bool> interrupted{false};
 
 struct RunArguments {
   std::string dataset, out, mode = "auto", config, calibration;
-  bool deterministic = false, realtime = false, no_loop = false, quiet = false;
+  std::string backend = "auto", record_loops;
+  bool deterministic = false, realtime = false, no_loop = false, no_merge = false, quiet = false;
   std::size_t max_frames = 0;
   double start_s = 0;
 };
@@ -140,6 +141,7 @@ int run(const RunArguments& args) {
   if (!args.calibration.empty()) open.calibration = args.calibration;
   const auto dataset = io::open_dataset(args.dataset, open);
   io::prepare_output_folder(args.out);
+  if (!args.record_loops.empty()) io::prepare_output_folder(args.record_loops);
   for (const std::string& remark : dataset->remarks()) logger("io").warn("{}", remark);
 
   system::SystemOptions options;
@@ -147,6 +149,10 @@ int run(const RunArguments& args) {
   options.mode = parse_mode(args.mode);
   options.deterministic = args.deterministic;
   options.drop_when_busy = args.realtime;
+  options.loops.enabled = !args.no_loop;
+  options.loops.record_folder = args.record_loops;
+  options.loops.loop.merge_maps = !args.no_merge;
+  options.loops.backend = loop::parse_backend(args.backend);
   system::System system(dataset->calibration(), options);
   io::RunFacts facts;
   facts.dataset = std::filesystem::path(args.dataset).filename().string();
@@ -208,8 +214,15 @@ void add_run_command(CLI::App& app, int& exit_code) {
   command->add_option("--start", args->start_s, "Skip this many seconds at the beginning")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  command->add_flag("--no-loop", args->no_loop,
-                    "Without loop closing (this version has none: no effect)");
+  command->add_flag("--no-loop", args->no_loop, "Without loop closing");
+  command->add_flag("--no-merge", args->no_merge,
+                    "Maps begun after tracking was lost are not joined to earlier ones");
+  command
+      ->add_option("--backend", args->backend, "How loops are closed; auto: the fastest there is")
+      ->check(CLI::IsMember({"auto", "reference", "cpu"}))
+      ->capture_default_str();
+  command->add_option("--record-loops", args->record_loops,
+                      "Folder that receives the map as it was just before each loop, for replay");
   command->add_flag("--quiet", args->quiet, "No progress lines");
   command->footer(
       "Example: fastloop run /data/MH_01_easy --out /tmp/mh01 && fastloop eval "

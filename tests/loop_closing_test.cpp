@@ -1,71 +1,161 @@
 #include <gtest/gtest.h>
 
-#include "fastloop/loop/loop_closer.hpp"
-#include "fastloop/place/default_vocabulary.hpp"
-#include "fastloop/sim/map_worlds.hpp"
+#include <limits>
 
-/// Loop closing on simulated maps: no images, no front end, known truth.
+#include "simulated_loop.hpp"
+
+/// Loop closing on simulated maps against their truth, and the two back ends against each other.
 namespace fastloop::loop {
 namespace {
 
-struct Attempt {
-  sim::SimulatedMap world;
-  LoopCloser closer;
-  LoopCloser::Outcome outcome;
-
-  static LoopOptions options_for(const sim::MapWorldOptions& o) {
-    LoopOptions options;
-    options.inertial = o.inertial;
-    return options;
-  }
-  Attempt(const sim::MapWorldOptions& o, Backend backend)
-      : world(sim::simulate_map(o)),
-        closer(options_for(o), backend, place::default_vocabulary()) {
-    const auto snapshot = world.map.publish();
-    for (std::uint32_t i = 0; i < snapshot->keyframe_slots(); ++i)
-      if (KeyframeId(i) != world.current) closer.add(*snapshot, KeyframeId(i));
-    outcome = closer.process(*snapshot, world.current);
-  }
-};
-
-std::string describe(const LoopReport& r) {
-  std::string text = std::string(to_string(r.verdict)) + " " + r.reason + "\n";
-  for (const CandidateReport& c : r.candidates) {
-    text += "  keyframe " + std::to_string(c.keyframe.value()) + " words " +
-            std::to_string(c.shared_words) + " matches " + std::to_string(c.descriptor_matches) +
-            ": " + to_string(c.verdict) + " " + c.reason + "\n";
-    for (const GateReading& g : c.gates)
-      text += "    " + g.gate + " " + std::to_string(g.value) + " / " + std::to_string(g.threshold) + "\n";
-  }
-  for (const auto& [stage, ms] : r.times_ms) text += "  " + stage + " " + std::to_string(ms) + " ms\n";
-  return text;
-}
+using testing::Attempt;
+using testing::describe;
+using testing::small_world;
+using testing::true_edge;
 
 class SimulatedLoop : public ::testing::TestWithParam<std::tuple<bool, bool>> {};
 
 TEST_P(SimulatedLoop, IsClosedWhereTheTruthSays) {
-  sim::MapWorldOptions o;
-  o.keyframes = 150;
-  o.seed = 3;
+  sim::MapWorldOptions o = small_world();
   std::tie(o.fisheye, o.inertial) = GetParam();
-  Attempt run(o, Backend::kCpu);
-  SCOPED_TRACE(describe(run.outcome.report));
-  ASSERT_TRUE(run.outcome.correction.has_value());
-  map::LoopCorrection& c = *run.outcome.correction;
-  const SE3 T_a_b = run.world.truth[c.edge.a.value()].inverse() * run.world.truth[c.edge.b.value()];
-  EXPECT_LT((c.edge.T_a_b.translation - T_a_b.translation).norm(), 0.1);
-  EXPECT_LT(angle_between(c.edge.T_a_b, T_a_b), 0.02);
-  EXPECT_GT(c.merges.size(), 50u);
+  Attempt a(o, Backend::kCpu);
+  SCOPED_TRACE(describe(a.outcome.report));
+  ASSERT_TRUE(a.outcome.correction.has_value());
+  const map::LoopCorrection& c = *a.outcome.correction;
+  const SE3 truth = true_edge(a.world, c.edge);
+  EXPECT_LT((c.edge.T_a_b.translation - truth.translation).norm(), 0.1);
+  EXPECT_LT(angle_between(c.edge.T_a_b, truth), 0.02);
 
-  const auto outcome = map::apply_correction(run.world.map, c);
+  // Joined landmarks show the same point of the world.
+  std::size_t right = 0;
+  for (const map::LandmarkMerge& m : c.merges)
+    right += a.world.point_of[m.loser.value()] == a.world.point_of[m.winner.value()];
+  EXPECT_GT(c.merges.size(), 50u);
+  EXPECT_GE(right, c.merges.size() * 98 / 100);
+
+  const auto outcome = map::apply_correction(a.world.map, c);
   ASSERT_TRUE(outcome.applied) << outcome.reason;
-  EXPECT_EQ(run.world.map.find_inconsistency(), std::nullopt);
-  const SE3 now = run.world.map.T_world_body(c.edge.a).inverse() * run.world.map.T_world_body(c.edge.b);
-  EXPECT_LT((now.translation - T_a_b.translation).norm(), 0.1);
-  std::cerr << describe(run.outcome.report);
+  EXPECT_EQ(outcome.merged, c.merges.size());
+  EXPECT_EQ(outcome.observed, c.observations.size());
+  EXPECT_EQ(a.world.map.find_inconsistency(), std::nullopt);
+  EXPECT_EQ(a.world.map.loop_edges().size(), 1u);
+  const SE3 now =
+      a.world.map.T_world_body(c.edge.a).inverse() * a.world.map.T_world_body(c.edge.b);
+  EXPECT_LT((now.translation - truth.translation).norm(), 0.1);
 }
 INSTANTIATE_TEST_SUITE_P(Cameras, SimulatedLoop,
                          ::testing::Combine(::testing::Bool(), ::testing::Bool()));
+
+TEST(SimulatedLoop, ErrorsOfThePosesShrink) {
+  sim::MapWorldOptions o = small_world(5);
+  o.drift_scale = 3;
+  Attempt a(o, Backend::kCpu);
+  ASSERT_TRUE(a.outcome.correction.has_value()) << describe(a.outcome.report);
+  // Errors after fixing the first keyframe, where truth and map begin together.
+  const auto error = [&](KeyframeId id) {
+    const auto &t = a.world.truth, &map = a.world.map;
+    const SE3 from_first = t[0].inverse() * t[id.value()];
+    const SE3 estimated = map.T_world_body(KeyframeId(0)).inverse() * map.T_world_body(id);
+    return (from_first.translation - estimated.translation).norm();
+  };
+  const double before = error(a.world.current);
+  ASSERT_TRUE(map::apply_correction(a.world.map, *a.outcome.correction).applied);
+  EXPECT_LT(error(a.world.current), 0.2 * before);
+}
+
+TEST(SimulatedLoop, IsFoundOnlyOnce) {
+  Attempt a(small_world(), Backend::kCpu);
+  ASSERT_TRUE(a.outcome.correction.has_value());
+  a.closer.conclude(map::apply_correction(a.world.map, *a.outcome.correction));
+  const auto again = a.closer.process(*a.world.map.publish(), a.world.current);
+  EXPECT_FALSE(again.correction.has_value()) << describe(again.report);
+}
+
+TEST(MapMerge, JoinsTwoMapsOfOnePlace) {
+  for (const bool inertial : {false, true}) {
+    sim::MapWorldOptions o = small_world(11);
+    o.two_maps = true;
+    o.inertial = inertial;
+    Attempt a(o, Backend::kCpu);
+    SCOPED_TRACE(describe(a.outcome.report));
+    ASSERT_TRUE(a.outcome.correction.has_value());
+    const map::LoopCorrection& c = *a.outcome.correction;
+    EXPECT_EQ(c.kind, map::LoopCorrection::Kind::kMerge);
+    const auto outcome = map::apply_correction(a.world.map, c);
+    ASSERT_TRUE(outcome.applied) << outcome.reason;
+    EXPECT_EQ(a.world.map.find_inconsistency(), std::nullopt);
+    EXPECT_EQ(a.world.map.map_info(c.map).num_keyframes, a.world.map.num_keyframes());
+    EXPECT_EQ(a.world.map.resolve(c.merged), c.map);
+    const SE3 truth = true_edge(a.world, c.edge);
+    const SE3 now =
+        a.world.map.T_world_body(c.edge.a).inverse() * a.world.map.T_world_body(c.edge.b);
+    EXPECT_LT((now.translation - truth.translation).norm(), 0.1);
+  }
+}
+
+TEST(MapMerge, CanBeSwitchedOff) {
+  sim::MapWorldOptions o = small_world(11);
+  o.two_maps = true;
+  Attempt a(o, Backend::kCpu, [](LoopOptions& options) { options.merge_maps = false; });
+  EXPECT_FALSE(a.outcome.correction.has_value());
+  EXPECT_TRUE(a.outcome.report.candidates.empty());
+}
+
+/// Decisions and correction of both back ends on one world.
+void expect_parity(const sim::MapWorldOptions& o) {
+  Attempt r(o, Backend::kReference), c(o, Backend::kCpu);
+  SCOPED_TRACE(describe(r.outcome.report) + describe(c.outcome.report));
+  const LoopReport &a = r.outcome.report, &b = c.outcome.report;
+  EXPECT_EQ(a.verdict, b.verdict);
+  ASSERT_EQ(a.candidates.size(), b.candidates.size());
+  for (std::size_t i = 0; i < a.candidates.size(); ++i) {
+    const CandidateReport &x = a.candidates[i], &y = b.candidates[i];
+    EXPECT_EQ(x.keyframe, y.keyframe);
+    EXPECT_EQ(x.shared_words, y.shared_words);
+    EXPECT_EQ(x.score, y.score);
+    EXPECT_EQ(x.descriptor_matches, y.descriptor_matches);
+    EXPECT_EQ(x.reason, y.reason);
+    ASSERT_EQ(x.gates.size(), y.gates.size());
+    for (std::size_t g = 0; g < x.gates.size(); ++g) {
+      EXPECT_EQ(x.gates[g].gate, y.gates[g].gate);
+      EXPECT_NEAR(x.gates[g].value, y.gates[g].value, 1e-9);
+    }
+  }
+  ASSERT_EQ(r.outcome.correction.has_value(), c.outcome.correction.has_value());
+  if (!r.outcome.correction) return;
+  const map::LoopCorrection &p = *r.outcome.correction, &q = *c.outcome.correction;
+  ASSERT_EQ(p.merges.size(), q.merges.size());
+  for (std::size_t i = 0; i < p.merges.size(); ++i) {
+    EXPECT_EQ(p.merges[i].loser, q.merges[i].loser);
+    EXPECT_EQ(p.merges[i].winner, q.merges[i].winner);
+  }
+  ASSERT_EQ(p.observations.size(), q.observations.size());
+  for (std::size_t i = 0; i < p.observations.size(); ++i) {
+    EXPECT_EQ(p.observations[i].landmark, q.observations[i].landmark);
+    EXPECT_EQ(p.observations[i].keyframe, q.observations[i].keyframe);
+    EXPECT_EQ(p.observations[i].keypoint, q.observations[i].keypoint);
+  }
+  ASSERT_EQ(p.states.size(), q.states.size());
+  for (std::size_t i = 0; i < p.states.size(); ++i) {
+    EXPECT_EQ(p.states[i].keyframe, q.states[i].keyframe);
+    const SE3 &x = p.states[i].after.T_world_body, &y = q.states[i].after.T_world_body;
+    EXPECT_LT((x.translation - y.translation).norm(), 1e-6);
+    EXPECT_LT(angle_between(x, y), 1e-6);
+  }
+}
+
+TEST(BackendParity, SameDecisionsAndCorrections) {
+  for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+    sim::MapWorldOptions o = small_world(seed);
+    o.fisheye = seed % 2;
+    o.inertial = seed % 4 >= 2;
+    o.two_maps = seed % 5 == 0;
+    o.loops = seed % 3 == 0 ? 1 : 0;
+    o.noise_px = seed == 7 ? 3 : 0.5;
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    expect_parity(o);
+  }
+}
 
 }  // namespace
 }  // namespace fastloop::loop

@@ -24,6 +24,15 @@ class BoundedQueue {
     return true;
   }
 
+  /// Like push, but does nothing when the queue is full.
+  bool try_push(T item) {
+    const std::lock_guard lock(mutex_);
+    if (closed_ || items_.size() >= capacity_) return false;
+    items_.push_back(std::move(item));
+    changed_.notify_all();
+    return true;
+  }
+
   std::optional<T> pop() {
     std::unique_lock lock(mutex_);
     changed_.wait(lock, [&] { return closed_ || !items_.empty(); });

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/io/loops_json.hpp"
 #include "fastloop/io/trajectory.hpp"
 
 namespace fastloop::io {
@@ -97,8 +98,21 @@ void write_events(const std::filesystem::path& path, const system::System& syste
     j["t"] = format_seconds(e.stamp_ns);
     j["event"] = e.kind;
     j["reason"] = e.reason;
+    if (e.T_new_old) {
+      const auto& t = e.T_new_old->translation;
+      const auto& q = e.T_new_old->rotation;
+      j["map_correction"] = {{"translation_m", {t.x(), t.y(), t.z()}},
+                             {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}}};
+    }
     text += j.dump() + "\n";
   }
+  write_file(path, text);
+}
+
+void write_loops(const std::filesystem::path& path, const system::System& system) {
+  std::string text;
+  for (const system::LoopRecord& record : system.loops())
+    text += loop_record_json(record, !system.deterministic()) + "\n";
   write_file(path, text);
 }
 
@@ -147,6 +161,8 @@ void write_summary(const std::filesystem::path& path, const system::System& syst
   j["keyframes"] = s.keyframes;
   j["landmarks"] = s.landmarks;
   j["maps"] = s.maps;
+  j["loops_closed"] = s.loops;
+  j["maps_merged"] = s.merges;
   j["imu_initialized"] = system.imu_initialized();
   j["seconds"] =
       system.frames().empty()
@@ -173,7 +189,9 @@ RunSummary summarize_run(const system::System& system) {
   const auto map = system.snapshot();
   s.keyframes = map->num_keyframes();
   s.landmarks = map->num_landmarks();
-  s.maps = map->maps().size();
+  for (const map::MapInfo& info : map->maps()) s.maps += !info.merged_into.valid();
+  for (const system::LoopRecord& record : system.loops())
+    if (record.correction && record.correction->applied) ++(record.merge ? s.merges : s.loops);
   return s;
 }
 
@@ -199,6 +217,7 @@ void write_run_output(const std::filesystem::path& folder, const system::System&
   write_trajectories(folder, system, facts, attempts);
   attempts.run([&] { write_map_ply(folder / "map.ply", *system.snapshot()); });
   attempts.run([&] { write_events(folder / "events.jsonl", system); });
+  attempts.run([&] { write_loops(folder / "loops.jsonl", system); });
   attempts.run([&] { write_timing(folder / "timing.json", system, facts); });
   attempts.run([&] { write_summary(folder / "summary.json", system, facts); });
   attempts.finish();

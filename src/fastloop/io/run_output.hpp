@@ -30,7 +30,7 @@ void write_run_output(const std::filesystem::path& folder, const system::System&
 /// Numbers of summary.json, for the closing lines of the program.
 struct RunSummary {
   std::size_t frames = 0, tracked = 0, tracked_since_start = 0, frames_since_start = 0,
-              keyframes = 0, landmarks = 0, maps = 0;
+              keyframes = 0, landmarks = 0, maps = 0, loops = 0, merges = 0;
 };
 RunSummary summarize_run(const system::System& system);
 

@@ -198,8 +198,9 @@ Fault check_connected(const Snapshot& map, const LoopCorrection& c, const Correc
     if (!map.contains(id)) continue;
     const Keyframe& k = map.keyframe(id);
     visit(k.parent);
-    visit(k.previous);
-    visit(k.next);
+    // Neighbours in time hold together by what the IMU measured between them.
+    if (k.imu_from_previous) visit(k.previous);
+    if (map.contains(k.next) && map.keyframe(k.next).imu_from_previous) visit(k.next);
     for (const KeyframeId child : children[id.value()]) visit(child);
     for (const CovisibilityEdge& e : map.covisible(id)) visit(e.keyframe);
   }

@@ -40,6 +40,13 @@ bool gap_allows_removal(const map::Map& map, KeyframeId id, const MappingOptions
   return to_seconds(end - begin) < options.max_imu_gap_s;
 }
 
+/// The measurement of a closed loop stays with its keyframes.
+bool ends_loop(const map::Map& map, KeyframeId id) {
+  const auto& loops = map.loop_edges();
+  return std::any_of(loops.begin(), loops.end(),
+                     [&](const map::LoopEdge& e) { return e.a == id || e.b == id; });
+}
+
 }  // namespace
 
 void LandmarkProbation::review(map::Map& map, KeyframeId newest) {
@@ -74,7 +81,7 @@ int cull_keyframes(map::Map& map, KeyframeId keyframe, bool inertial,
     if (id == info.first_keyframe || id == info.last_keyframe) continue;
     if (std::find(recent.begin(), recent.end(), id) != recent.end()) continue;
     const map::Keyframe& k = map.keyframe(id);
-    if (!k.previous.valid() || !k.next.valid()) continue;
+    if (!k.previous.valid() || !k.next.valid() || ends_loop(map, id)) continue;
     if (options.use_imu && (!inertial || !gap_allows_removal(map, id, options))) continue;
     if (redundant_share(map, id, close) > limit) {
       map.remove_keyframe(id);

@@ -33,6 +33,11 @@ void Mapper::publish() {
   if (callbacks_.publish) callbacks_.publish(map_.publish());
 }
 
+map::CorrectionOutcome Mapper::apply(const map::LoopCorrection& correction) {
+  const ScopedTimer timer(times_, "apply_correction");
+  return map::apply_correction(map_, correction);
+}
+
 KeyframeId Mapper::insert(const map::KeyframeRequest& r) {
   const ScopedTimer timer(times_, "insert");
   for (const map::Sighting& s : r.sightings) {

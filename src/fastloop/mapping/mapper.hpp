@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "fastloop/core/timing.hpp"
+#include "fastloop/map/correction.hpp"
 #include "fastloop/map/keyframe_request.hpp"
 #include "fastloop/map/map.hpp"
 #include "fastloop/mapping/culling.hpp"
@@ -28,6 +29,9 @@ class Mapper {
 
   /// @param more_waiting  further requests are queued: optional work is skipped
   void process(const map::KeyframeRequest& request, bool more_waiting);
+  /// Applies what loop closing found, or refuses it. Publishes nothing: the next
+  /// keyframe does, or the caller.
+  map::CorrectionOutcome apply(const map::LoopCorrection& correction);
   /// Abandons a running adjustment (the state so far is kept); callable from any thread.
   void cancel() { cancel_ = true; }
 

@@ -6,7 +6,7 @@ namespace fastloop::system {
 
 MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales,
                              const mapping::MappingOptions& options, const WorkerPace& pace,
-                             std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event,
+                             const LoopClosingOptions& loops, Callbacks callbacks,
                              StageTimes* times)
     : pace_(pace),
       mapper_(rig, scales, options,
@@ -15,8 +15,10 @@ MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales,
                  newest_ = std::move(snapshot);
                  deliver(false);
                },
-               std::move(imu_event)},
-              times) {
+               std::move(callbacks.imu_event)},
+              times),
+      loops_(loops, options, pace.threaded, pace.live,
+             {std::move(callbacks.loop_applied), [this] { queue_.try_push(std::nullopt); }}, times) {
   newest_ = visible_ = mapper_.map().publish();
   if (pace_.threaded) thread_ = std::jthread([this] { run(); });
 }
@@ -27,18 +29,30 @@ MappingWorker::~MappingWorker() {
 }
 
 void MappingWorker::run() {
-  while (const auto request = queue_.pop())
-    if (!execute(*request)) return;
+  while (const std::optional<Job> job = queue_.pop())
+    if (!execute(*job)) return;
+}
+
+void MappingWorker::work(const Job& job) {
+  loops_.before_keyframe(mapper_);
+  if (!job) {
+    publish();
+    return;
+  }
+  // Leaving out work because more is waiting would make the map depend on the clock.
+  mapper_.process(*job, pace_.live && queue_.size() > 1);
+  loops_.after_keyframe(mapper_, job->id);
 }
 
 /// False when it failed: `error_` then holds why.
-bool MappingWorker::execute(const map::KeyframeRequest& request) {
+bool MappingWorker::execute(const Job& job) {
   try {
-    // Leaving out work because more is waiting would make the map depend on the clock.
-    mapper_.process(request, pace_.live && queue_.size() > 1);
+    work(job);
     const std::lock_guard lock(mutex_);
-    ++processed_;
-    deliver(true);
+    if (job) {
+      ++processed_;
+      deliver(true);
+    }
     return true;
   } catch (...) {
     {
@@ -114,8 +128,18 @@ void MappingWorker::finish() {
     queue_.close();
     thread_.join();
   }
+  {
+    const std::lock_guard lock(mutex_);
+    rethrow();
+  }
+  loops_.finish(mapper_);
+  publish();
+}
+
+void MappingWorker::publish() {
+  auto snapshot = mapper_.map().publish();
   const std::lock_guard lock(mutex_);
-  rethrow();
+  newest_ = std::move(snapshot);
 }
 
 std::shared_ptr<const map::Snapshot> MappingWorker::snapshot() const {

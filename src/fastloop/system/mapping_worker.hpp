@@ -11,6 +11,7 @@
 
 #include "fastloop/core/bounded_queue.hpp"
 #include "fastloop/mapping/mapper.hpp"
+#include "fastloop/system/loop_closing.hpp"
 
 namespace fastloop::system {
 
@@ -23,7 +24,7 @@ struct WorkerPace {
   std::uint32_t delay_frames = 4;  ///< SystemOptions::mapping_delay_frames
 };
 
-/// Runs a Mapper behind a bounded queue in a thread of its own, or in the caller's thread.
+/// Runs a Mapper, with loop closing beside it, behind a bounded queue in a thread of its own, or in the caller's thread.
 ///
 /// Frame clock (pace.live == false): of a job submitted with frame n, tracking sees the first
 /// published snapshot (the keyframe stands in the map) from frame n + 1 on, the last one from frame
@@ -32,10 +33,13 @@ struct WorkerPace {
 /// frame; whatever came before becomes visible with it.
 class MappingWorker {
  public:
+  struct Callbacks {
+    std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event;
+    std::function<void(const LoopRecord&)> loop_applied;  ///< from the worker's thread
+  };
   MappingWorker(const StereoRig& rig, const PyramidScales& scales,
                 const mapping::MappingOptions& options, const WorkerPace& pace,
-                std::function<void(Nanoseconds, const mapping::ImuStep&)> imu_event,
-                StageTimes* times);
+                const LoopClosingOptions& loops, Callbacks callbacks, StageTimes* times);
   ~MappingWorker();
 
   /// Hands over what `frame` asks for; waits while the queue is full. Frames never decrease.
@@ -53,6 +57,7 @@ class MappingWorker {
   /// exception of the worker.
   View view(std::uint32_t frame);
 
+  const LoopClosing& loops() const { return loops_; }
   bool full() const { return pace_.threaded && queue_.full(); }
   /// The newest map, whatever the pace; from any thread.
   std::shared_ptr<const map::Snapshot> snapshot() const;
@@ -65,8 +70,13 @@ class MappingWorker {
     std::shared_ptr<const map::Snapshot> snapshot;
   };
 
+  /// A keyframe, or nothing: then there is a correction to apply.
+  using Job = std::optional<map::KeyframeRequest>;
+
   void run();
-  bool execute(const map::KeyframeRequest& request);
+  bool execute(const Job& job);
+  void work(const Job& job);
+  void publish();
   void schedule(std::uint32_t frame, bool needed_at_once);
   void deliver(bool job_done);
   void rethrow() const;
@@ -78,8 +88,9 @@ class MappingWorker {
   std::deque<Release> releases_;  ///< two for each job, in the order they become visible
   std::size_t submitted_ = 0, processed_ = 0;
   std::exception_ptr error_;
-  BoundedQueue<map::KeyframeRequest> queue_{3};
+  BoundedQueue<Job> queue_{3};
   mapping::Mapper mapper_;
+  LoopClosing loops_;
   std::jthread thread_;
 };
 

@@ -26,7 +26,8 @@ Mode resolve_mode(Mode wanted, const Calibration& c) {
 
 SystemOptions complete(SystemOptions options, Mode mode) {
   options.mode = mode;
-  options.tracking.use_imu = options.mapping.use_imu = mode == Mode::kStereoInertial;
+  options.tracking.use_imu = options.mapping.use_imu = options.loops.loop.inertial =
+      mode == Mode::kStereoInertial;
   return options;
 }
 
@@ -69,6 +70,7 @@ void SystemOptions::validate() const {
   orb.validate();
   tracking.validate();
   mapping.validate();
+  loops.validate();
 }
 
 struct System::Impl {
@@ -90,8 +92,9 @@ struct System::Impl {
         tracker(options.tracking, calibration.imu, &times),
         worker(
             builder.rig(), PyramidScales(options.orb.levels, options.orb.scale_factor),
-            options.mapping, pace_of(options),
-            [this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); },
+            options.mapping, pace_of(options), options.loops,
+            {[this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); },
+             [this](const LoopRecord& record) { on_loop(record); }},
             &times) {}
 
   void add_event(Event event) {
@@ -105,7 +108,19 @@ struct System::Impl {
     const char* kind = step.kind == Kind::kInitialised ? "imu_initialised"
                        : step.kind == Kind::kRefined   ? "imu_refined"
                                                        : "imu_failed";
-    add_event({stamp_ns, kind, step.reason, {}});
+    add_event({stamp_ns, kind, step.reason, {}, {}});
+  }
+
+  void on_loop(const LoopRecord& record) {
+    const map::CorrectionOutcome& outcome = *record.correction;
+    Event event{record.report.stamp_ns, "loop_refused", record.report.reason, {}, {}};
+    if (outcome.applied) {
+      event.kind = record.merge ? "maps_merged" : "loop_closed";
+      event.reason = std::to_string(outcome.moved) + " keyframes moved, " +
+                     std::to_string(outcome.merged) + " landmarks joined";
+      event.T_new_old = outcome.T_new_old;
+    }
+    add_event(std::move(event));
   }
 
   /// The samples of a frame that can be integrated; the rest is reported. `storage` holds them when
@@ -116,7 +131,7 @@ struct System::Impl {
                                    [](const auto& i) { return !is_finite(i); });
     if (bad == 0) return &input.imu;
     add_event(
-        {input.stamp_ns, "imu_ignored", std::to_string(bad) + " IMU samples are not finite", {}});
+        {input.stamp_ns, "imu_ignored", std::to_string(bad) + " IMU samples are not finite", {}, {}});
     std::copy_if(input.imu.begin(), input.imu.end(), std::back_inserter(storage), is_finite);
     return &storage;
   }
@@ -127,7 +142,7 @@ struct System::Impl {
     const bool waiting = record.state == tracking::State::kInitialising && state == record.state;
     if (waiting && (!initialising_reason.empty() || reason.empty())) return;
     if (record.state != state || !reason.empty())
-      add_event({record.stamp_ns, event_kind(state, record.state), reason, {}});
+      add_event({record.stamp_ns, event_kind(state, record.state), reason, {}, {}});
     initialising_reason = record.state == tracking::State::kInitialising ? reason : "";
     state = record.state;
   }
@@ -183,6 +198,9 @@ void System::finish() {
   impl_->worker.finish();
 }
 
+bool System::deterministic() const {
+  return impl_->options.deterministic;
+}
 Mode System::mode() const {
   return impl_->options.mode;
 }
@@ -191,6 +209,9 @@ std::shared_ptr<const map::Snapshot> System::snapshot() const {
 }
 const std::vector<FrameRecord>& System::frames() const {
   return impl_->frames;
+}
+std::vector<LoopRecord> System::loops() const {
+  return impl_->worker.loops().records();
 }
 const StageTimes& System::times() const {
   return impl_->times;

@@ -12,6 +12,7 @@
 #include "fastloop/mapping/options.hpp"
 #include "fastloop/sensor/calibration.hpp"
 #include "fastloop/sensor/frame.hpp"
+#include "fastloop/system/loop_closing.hpp"
 #include "fastloop/tracking/types.hpp"
 
 namespace fastloop::system {
@@ -28,10 +29,11 @@ struct SystemOptions {
   bool drop_when_busy = false;
   /// Not live: tracking sees what mapping made of a keyframe this many frames later, and waits for
   /// it if need be. Less is fresher, more leaves mapping more time beside tracking.
-  std::size_t mapping_delay_frames = 4;
+  std::size_t mapping_delay_frames = 6;
   OrbOptions orb;
   tracking::TrackingOptions tracking;
   mapping::MappingOptions mapping;
+  LoopClosingOptions loops;
   void validate() const;  ///< throws InvalidArgument naming the field
 };
 
@@ -41,6 +43,9 @@ struct Event {
   std::string kind;  ///< "initialised", "lost", "relocalised", "imu_initialised", ...
   std::string reason;
   MapId map;
+  /// Of a correction: new world coordinates = T * old ones, for what is around the newest keyframe.
+  /// A robot that keeps an odometry frame multiplies its T_map_odometry with it from the left.
+  std::optional<SE3> T_new_old;
 };
 
 /// One processed frame.
@@ -75,10 +80,13 @@ class System {
   void finish();
 
   Mode mode() const;
+  bool deterministic() const;
   std::shared_ptr<const map::Snapshot> snapshot() const;
   const std::vector<FrameRecord>& frames() const;
   /// In time order; what mapping reports of a keyframe comes after what tracking reported.
   std::vector<Event> events() const;
+  /// Keyframes at which there was a loop to decide on, with the reasons; in order.
+  std::vector<LoopRecord> loops() const;
   const StageTimes& times() const;
   bool imu_initialized() const;
 
