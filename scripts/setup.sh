@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs the Debian / Ubuntu packages fastloop needs, and only those that are missing.
-# Run it alone, or source it and call `fastloop_setup`. Debian 12 and Ubuntu 24.04 are supported.
+# Run it alone, or source it and call `fastloop_setup`. Debian 12 is supported; Ubuntu 24.04 has not been tried.
 
 fastloop_packages=(
   g++ cmake ninja-build pkg-config git ccache python3

@@ -37,4 +37,8 @@ export TSAN_OPTIONS=${TSAN_OPTIONS:-halt_on_error=1:second_deadlock_stack=1:supp
 
 fastloop_setup
 fastloop_build "$preset"
+if [ "$preset" = tsan ]; then
+  tbb=$(scripts/tsan_tbb.sh)
+  export LD_LIBRARY_PATH=$tbb${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+fi
 ctest --test-dir "build/$preset" --parallel 2 --output-on-failure "$@"
