@@ -16,9 +16,11 @@ int main(int argc, char** argv) {
   apps::add_eval_command(app, exit_code);
   apps::add_convert_calib_command(app, exit_code);
   apps::add_doctor_command(app, exit_code);
+  apps::add_map_command(app, exit_code);
   apps::add_posegraph_command(app, exit_code);
   apps::add_run_command(app, exit_code);
   apps::add_simulate_command(app, exit_code);
+  apps::add_simulate_map_command(app, exit_code);
   apps::add_simulate_posegraph_command(app, exit_code);
   apps::add_vocab_command(app, exit_code);
 
