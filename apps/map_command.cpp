@@ -76,9 +76,10 @@ void print_file(const Arguments& a, const map::MapExtras& extras) {
                 static_cast<std::uintmax_t>(s.file_bytes), static_cast<std::uintmax_t>(s.bytes));
   constexpr std::size_t kShown = 120;
   for (const auto& [name, text] : extras) {
-    const bool plain = std::all_of(text.begin(), text.end(), [](char c) { return c >= 32 && c < 127; });
-    std::printf("extra         %s, %zu bytes%s%s%s\n", name.c_str(), text.size(),
-                plain ? ": " : "", plain ? text.substr(0, kShown).c_str() : "",
+    const bool plain =
+        std::all_of(text.begin(), text.end(), [](char c) { return c >= 32 && c < 127; });
+    std::printf("extra         %s, %zu bytes%s%s%s\n", name.c_str(), text.size(), plain ? ": " : "",
+                plain ? text.substr(0, kShown).c_str() : "",
                 plain && text.size() > kShown ? " ..." : "");
   }
 }
@@ -134,17 +135,19 @@ void add_map_command(CLI::App& app, int& exit_code) {
                        const char* out_help) {
     auto a = std::make_shared<Arguments>();
     CLI::App* command = map->add_subcommand(name, help);
-    command->add_option("FILE", a->file, "Map file, of run --save-map or simulate-map")->required();
+    command->add_option("FILE", a->file, "Map file, of simulate-map or run --record-loops say")->required();
     if (out_help) command->add_option("--out", a->out, out_help);
     command->callback([a, run, &exit_code] { exit_code = run(*a); });
   };
   add("info", "What is in it: counts, maps, time spans, bytes of each part, extras", info, nullptr);
   add("check",
-      "Whether it is undamaged and its parts agree with each other; exit code 2 and the reason when "
+      "Whether it is undamaged and its parts agree with each other; exit code 2 and the reason "
+      "when "
       "not",
       check, nullptr);
-  add("export-ply", "Landmarks (grey) and keyframes (one colour a map) as a point cloud, for MeshLab",
-      export_ply, "PLY file to write (default: FILE with the extension .ply)");
+  add("export-ply",
+      "Landmarks (grey) and keyframes (one colour a map) as a point cloud, for MeshLab", export_ply,
+      "PLY file to write (default: FILE with the extension .ply)");
   add("export-g2o",
       "Essential graph: keyframe poses; spanning tree, 100 and more common landmarks, closed loops",
       export_g2o, "g2o file to write (default: FILE with the extension .g2o)");

@@ -15,7 +15,8 @@ using Json = nlohmann::ordered_json;
 Json pose_json(const SE3& T) {
   const Vector3d& t = T.translation;
   const Eigen::Quaterniond& q = T.rotation;
-  return {{"translation_m", {t.x(), t.y(), t.z()}}, {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}}};
+  return {{"translation_m", {t.x(), t.y(), t.z()}},
+          {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}}};
 }
 
 std::string truth_json(const sim::SimulatedMap& s) {
@@ -31,8 +32,8 @@ void simulate(const sim::MapWorldOptions& options, const std::string& file) {
   loop::LoopRequest request;
   request.keyframe = s.current;
   request.inertial = options.inertial;
-  map::write_map_file(file, s.map,
-                      {{loop::kLoopRequestExtra, loop::to_json(request)}, {"truth", truth_json(s)}});
+  map::write_map_file(
+      file, s.map, {{loop::kLoopRequestExtra, loop::to_json(request)}, {"truth", truth_json(s)}});
   const KeyframeId matched = s.expected_matches.front();
   std::printf("%s: %zu keyframes, %zu landmarks, %d loops closed, seed %llu\n", file.c_str(),
               s.map.num_keyframes(), s.map.num_landmarks(), options.loops,
@@ -61,7 +62,8 @@ void add_simulate_map_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand(
       "simulate-map", "Make a drifted map, without images, that is about to close a known loop");
   command->footer(
-      "The last keyframe has come back to where the run began, but the map holds that place twice.\n"
+      "The last keyframe has come back to where the run began, but the map holds that place "
+      "twice.\n"
       "The file carries the pending request (extra loop_request) and the truth (extra truth).\n"
       "Example: fastloop simulate-map --keyframes 1000 --loops 2 --out /tmp/m.flmap && "
       "fastloop map info /tmp/m.flmap");
@@ -80,8 +82,9 @@ void add_simulate_map_command(CLI::App& app, int& exit_code) {
   command->add_option("--features", o.features, "Keypoints of a keyframe")
       ->check(CLI::Range(50, 20000))
       ->capture_default_str();
-  command->add_option("--drift", o.drift_scale,
-                      "1: a position error of 0.3 % of the way when the loop is reached; 0: none")
+  command
+      ->add_option("--drift", o.drift_scale,
+                   "1: a position error of 0.3 % of the way when the loop is reached; 0: none")
       ->check(CLI::Range(0.0, 10.0))
       ->capture_default_str();
   command->add_flag("--fisheye", o.fisheye, "Two fisheye cameras instead of a rectified pair");

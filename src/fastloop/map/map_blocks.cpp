@@ -14,7 +14,8 @@ namespace {
 constexpr std::array<char, 8> kMagic{'f', 'l', 'm', 'a', 'p', '\r', '\n', '\x1a'};
 constexpr std::uint32_t kVersion = 1;
 constexpr char kEnd[] = "end";
-constexpr int kCompressionLevel = 1;  // the higher ones gain a few percent for several times the time
+constexpr int kCompressionLevel =
+    1;  // the higher ones gain a few percent for several times the time
 
 struct FileHeader {
   std::array<char, 8> magic = kMagic;
@@ -49,8 +50,8 @@ void BlockFileWriter::write(const std::string& name, std::span<const std::byte> 
   if (bytes.size() > kMaxBlockBytes)
     throw InvalidArgument("a single '" + name + "' entry of a map is larger than 64 MiB");
   packed_.resize(ZSTD_compressBound(bytes.size()));
-  const std::size_t packed = ZSTD_compress(packed_.data(), packed_.size(), bytes.data(),
-                                           bytes.size(), kCompressionLevel);
+  const std::size_t packed =
+      ZSTD_compress(packed_.data(), packed_.size(), bytes.data(), bytes.size(), kCompressionLevel);
   if (ZSTD_isError(packed)) throw Error(std::string("zstd: ") + ZSTD_getErrorName(packed));
   BlockHeader header;
   std::memcpy(header.name.data(), name.data(), std::min(name.size(), header.name.size()));
@@ -93,9 +94,9 @@ BlockFileReader::BlockFileReader(const std::filesystem::path& path) : name_(path
   left_ = static_cast<std::uint64_t>(size);
   file_.seekg(0);
   FileHeader header;
-  if (left_ < sizeof(header)) fail("is too short for a map", "a file of fastloop run --save-map");
+  if (left_ < sizeof(header)) fail("is too short for a map", "a map file of fastloop");
   get(&header, sizeof(header));
-  if (header.magic != kMagic) fail("is not a map", "a file of fastloop run --save-map");
+  if (header.magic != kMagic) fail("is not a map", "a map file of fastloop");
   if (header.version > kVersion)
     fail("has version " + std::to_string(header.version) + ", which is newer than this program",
          "version " + std::to_string(kVersion));

@@ -217,8 +217,7 @@ void write_keyframes(BlockFileWriter& file, const Snapshot& s) {
 
 }  // namespace
 
-void write_map_file(const std::filesystem::path& path, const Snapshot& s,
-                    const MapExtras& extras) {
+void write_map_file(const std::filesystem::path& path, const Snapshot& s, const MapExtras& extras) {
   BlockFileWriter file(path);
   Section head(file, "map");
   head.add([&](ByteWriter& w) {
@@ -236,8 +235,7 @@ void write_map_file(const std::filesystem::path& path, const Snapshot& s,
   head.flush();
   const auto write_all = [&](const std::string& name, const auto& entries, const auto& put_entry) {
     Section section(file, name);
-    for (const auto& entry : entries)
-      section.add([&](ByteWriter& w) { put_entry(w, entry); });
+    for (const auto& entry : entries) section.add([&](ByteWriter& w) { put_entry(w, entry); });
     section.flush();
   };
   const auto put_any = [](ByteWriter& w, const auto& entry) { put(w, entry); };

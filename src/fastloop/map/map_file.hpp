@@ -35,7 +35,7 @@ LoadedMap read_map_file(const std::filesystem::path& path);
 struct MapFileSection {
   std::string name;
   std::size_t blocks = 0;
-  std::uint64_t bytes = 0;      ///< unpacked
+  std::uint64_t bytes = 0;       ///< unpacked
   std::uint64_t file_bytes = 0;  ///< as they lie in the file
 };
 /// What a file is made of, in its order; reads all of it and checks the checksums.

@@ -210,8 +210,8 @@ void put(ByteWriter& w, const PreintegratedImu& imu) {
   w.put(imu.end_ns());
   put_bias(w, imu.bias());
   const ImuCalibration& c = imu.noise();
-  for (const double v : {c.rate_hz, c.gyro_noise_density, c.gyro_random_walk,
-                         c.accel_noise_density, c.accel_random_walk, c.time_shift_s})
+  for (const double v : {c.rate_hz, c.gyro_noise_density, c.gyro_random_walk, c.accel_noise_density,
+                         c.accel_random_walk, c.time_shift_s})
     w.put(v);
   w.put(static_cast<std::uint32_t>(imu.samples().size()));
   for (const ImuSample& s : imu.samples()) {

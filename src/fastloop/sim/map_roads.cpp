@@ -29,9 +29,7 @@ HubRange hub_range(const RouteSizes& sizes) {
 
 RouteSizes route_sizes(const MapWorldOptions& options) {
   const int half = std::max(2, (options.covisible + 3) / 4);
-  const auto steps = [&](int count) {
-    return std::clamp(2.0 / half, 0.02, 0.4) * count;
-  };
+  const auto steps = [&](int count) { return std::clamp(2.0 / half, 0.02, 0.4) * count; };
   RouteSizes sizes;
   sizes.step = steps(1);
   sizes.window = steps(half);
@@ -105,8 +103,7 @@ double RoadMap::length(std::size_t road) const {
 }
 
 Vector3d RoadMap::position(std::size_t road, double s) const {
-  if (road == 0)
-    return {radius_ * std::cos(s / radius_), radius_ * std::sin(s / radius_), 0};
+  if (road == 0) return {radius_ * std::cos(s / radius_), radius_ * std::sin(s / radius_), 0};
   const Polyline& line = detours_[road - 1];
   // The straight continuation of the ends lets headings be differences there as well.
   const auto after = std::upper_bound(line.length.begin() + 1, line.length.end() - 1, s);

@@ -9,8 +9,8 @@
 namespace fastloop::sim {
 namespace {
 
-constexpr double kDriftRatio = 0.003;         // position error per way
-constexpr double kMaxYaw = 3 * M_PI / 180;    // at the end
+constexpr double kDriftRatio = 0.003;       // position error per way
+constexpr double kMaxYaw = 3 * M_PI / 180;  // at the end
 constexpr double kYawPerMetre = 0.01 * M_PI / 180;
 
 Eigen::Quaterniond turn(double yaw) {
@@ -97,8 +97,7 @@ class RingDrift {
       const double s = begin_ + step_ * static_cast<double>(i);
       const double x = (s - begin_) / way;
       const SE3 next = roads.T_world_carrier(0, s);
-      const Vector3d error =
-          ratio * step_ * Vector3d(forward_(x), left_(x), up_(x));
+      const Vector3d error = ratio * step_ * Vector3d(forward_(x), left_(x), up_(x));
       Drift d = samples_[i - 1];
       mapped += turn(d.yaw) * (next.translation - here.translation + here.rotation * error);
       d.shift = mapped - next.translation;
@@ -152,8 +151,7 @@ class RunBuilder {
                           Random(mix64(options_.seed) + stream));
     const auto count = static_cast<std::size_t>(std::llround(total / sizes_.step - 0.49)) + 1;
     for (std::size_t i = 0; i < count; ++i)
-      run.stops.push_back(
-          stop(run, sizes_.step * static_cast<double>(i), drift));
+      run.stops.push_back(stop(run, sizes_.step * static_cast<double>(i), drift));
     return run;
   }
 
@@ -190,9 +188,9 @@ class RunBuilder {
   }
 
   RouteStop stop(const Run& run, double way, const RingDrift& ring) const {
-    const auto after = std::upper_bound(
-        run.pieces.begin() + 1, run.pieces.end(), way,
-        [](double value, const RoutePiece& piece) { return value < piece.at; });
+    const auto after =
+        std::upper_bound(run.pieces.begin() + 1, run.pieces.end(), way,
+                         [](double value, const RoutePiece& piece) { return value < piece.at; });
     const RoutePiece& piece = *(after - 1);
     RouteStop stop;
     stop.way = way;

@@ -9,11 +9,11 @@ namespace fastloop::sim {
 
 /// Lengths that follow from the options, metres.
 struct RouteSizes {
-  double step = 0;         ///< between keyframes
-  double window = 0;       ///< a point is seen from at most this far before and behind its home
-  double shared = 0;       ///< length of a stretch that is walked twice
-  double last = 0;         ///< way since the pending loop was entered
-  double circuit = 0;      ///< the ring
+  double step = 0;     ///< between keyframes
+  double window = 0;   ///< a point is seen from at most this far before and behind its home
+  double shared = 0;   ///< length of a stretch that is walked twice
+  double last = 0;     ///< way since the pending loop was entered
+  double circuit = 0;  ///< the ring
   std::vector<double> detours;
 };
 /// @throws InvalidArgument when the keyframes are too few

@@ -39,8 +39,8 @@ ViewModel::ViewModel(const MapWorldOptions& options, const StereoRig& rig, doubl
 }
 
 Descriptor ViewModel::word(Random& random) const {
-  const std::uint32_t leaf = leaves_[static_cast<std::size_t>(
-      random.integer(static_cast<int>(leaves_.size())))];
+  const std::uint32_t leaf =
+      leaves_[static_cast<std::size_t>(random.integer(static_cast<int>(leaves_.size())))];
   return with_flips(place::default_vocabulary().tree().descriptor[leaf], kWordBits, random);
 }
 
@@ -173,7 +173,8 @@ std::pair<std::shared_ptr<FeatureSet>, std::vector<ViewModel::SlotKeypoint>> Vie
   const std::size_t room = total - total / 10;
   auto features = std::make_shared<FeatureSet>();
   std::vector<SlotKeypoint> keypoints;
-  const double keep = seen.size() <= room ? 1 : static_cast<double>(room) / static_cast<double>(seen.size());
+  const double keep =
+      seen.size() <= room ? 1 : static_cast<double>(room) / static_cast<double>(seen.size());
   for (const auto& [sighting, a] : seen) {
     if (random.uniform() >= keep || features->size() >= total) continue;
     while (features->size() + room < total + keypoints.size() && random.integer(3) == 0)

@@ -12,9 +12,9 @@ namespace fastloop::sim {
 
 struct WorldPoint {
   Vector3d p_world = Vector3d::Zero();
-  double home = 0;           ///< position on its road
+  double home = 0;               ///< position on its road
   float before = 0, behind = 0;  ///< seen from [home - before, home + behind]
-  float farthest_m = 0;      ///< distance at which it falls out of the scale pyramid
+  float farthest_m = 0;          ///< distance at which it falls out of the scale pyramid
   float angle_rad = 0;
   Descriptor descriptor;
 };
@@ -46,8 +46,8 @@ class ViewModel {
   };
   /// Features of a keyframe: sightings of `near` and keypoints of nothing, mixed.
   std::pair<std::shared_ptr<FeatureSet>, std::vector<SlotKeypoint>> view(
-      const RouteStop& stop, std::span<const Appearance> near,
-      std::span<const WorldPoint> points, Random random) const;
+      const RouteStop& stop, std::span<const Appearance> near, std::span<const WorldPoint> points,
+      Random random) const;
 
  private:
   Descriptor word(Random& random) const;

@@ -14,13 +14,12 @@
 namespace fastloop::sim {
 namespace {
 
-constexpr int kTurns = 3;            // of the ring on which a point can appear: before, first, again
+constexpr int kTurns = 3;  // of the ring on which a point can appear: before, first, again
 constexpr std::size_t kMinObservers = 3;  // of a landmark
-constexpr double kSamePlace = 3;     // metres between keyframes that see the same place
+constexpr double kSamePlace = 3;          // metres between keyframes that see the same place
 
 StereoRig make_stereo_rig(bool fisheye) {
-  const Calibration calibration =
-      make_rig(fisheye ? CameraKind::kFisheye : CameraKind::kPinhole);
+  const Calibration calibration = make_rig(fisheye ? CameraKind::kFisheye : CameraKind::kPinhole);
   StereoRig rig;
   rig.left = calibration.cameras[0].camera;
   rig.right = calibration.cameras[1].camera;
@@ -69,8 +68,7 @@ class World {
   std::uint32_t point_of_slot(std::size_t slot) const {
     slot %= slots_of_run();
     const std::size_t turns = kTurns * first_[1];
-    return static_cast<std::uint32_t>(slot < turns ? slot % first_[1]
-                                                   : slot - turns + first_[1]);
+    return static_cast<std::uint32_t>(slot < turns ? slot % first_[1] : slot - turns + first_[1]);
   }
 
   /// Appearances of points along a run, in the order of the way. A stretch of the ring that is
@@ -100,9 +98,8 @@ class World {
   std::size_t first_at(std::size_t road, double s) const {
     const auto begin = points_.begin() + static_cast<std::ptrdiff_t>(first_[road]);
     const auto end = points_.begin() + static_cast<std::ptrdiff_t>(first_[road + 1]);
-    const auto at = std::lower_bound(begin, end, s, [](const WorldPoint& p, double value) {
-      return p.home < value;
-    });
+    const auto at = std::lower_bound(
+        begin, end, s, [](const WorldPoint& p, double value) { return p.home < value; });
     return static_cast<std::size_t>(at - points_.begin());
   }
 
@@ -160,12 +157,11 @@ class MapMaker {
     add_landmarks(first, keypoints, r * world_.slots_of_run());
   }
 
-  std::span<const ViewModel::Appearance> near(
-      const std::vector<ViewModel::Appearance>& appearances, double way) const {
+  std::span<const ViewModel::Appearance> near(const std::vector<ViewModel::Appearance>& appearances,
+                                              double way) const {
     const auto at = [&](double value) {
-      return std::lower_bound(
-          appearances.begin(), appearances.end(), value,
-          [](const ViewModel::Appearance& a, double v) { return a.way < v; });
+      return std::lower_bound(appearances.begin(), appearances.end(), value,
+                              [](const ViewModel::Appearance& a, double v) { return a.way < v; });
     };
     return {at(way - sizes_.window), at(way + sizes_.window)};
   }

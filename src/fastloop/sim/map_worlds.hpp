@@ -8,9 +8,9 @@
 namespace fastloop::sim {
 
 struct MapWorldOptions {
-  int keyframes = 1000;         ///< in total, 60 .. 1,000,000
-  int covisible = 20;           ///< keyframes that share landmarks with one, 8 .. 400
-  int loops = 0;                ///< loops closed earlier; one more is pending
+  int keyframes = 1000;  ///< in total, 60 .. 1,000,000
+  int covisible = 20;    ///< keyframes that share landmarks with one, 8 .. 400
+  int loops = 0;         ///< loops closed earlier; one more is pending
   std::uint64_t seed = 1;
   int features = 1000;          ///< keypoints of a keyframe, 50 .. 20,000
   double landmark_share = 0.5;  ///< of the keypoints, about; the rest shows nothing that is mapped
@@ -38,9 +38,9 @@ struct SimulatedMap {
   map::Map map;
   KeyframeId current;                        ///< the last keyframe
   std::vector<KeyframeId> expected_matches;  ///< that saw the same place, the nearest first
-  SE3 T_matched_current;  ///< truth, body frames; matched = expected_matches.front()
-  std::vector<SE3> truth;                ///< [keyframe slots] true T_world_body
-  std::vector<std::uint32_t> point_of;   ///< [landmark slots] the world point a landmark shows
+  SE3 T_matched_current;                ///< truth, body frames; matched = expected_matches.front()
+  std::vector<SE3> truth;               ///< [keyframe slots] true T_world_body
+  std::vector<std::uint32_t> point_of;  ///< [landmark slots] the world point a landmark shows
 };
 
 /// Depends on the options alone. @throws InvalidArgument also when the keyframes are too few for

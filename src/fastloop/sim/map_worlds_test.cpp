@@ -141,7 +141,8 @@ TEST(SimulateMap, DriftIsAsAskedForAndInYawAndPosition) {
     EXPECT_EQ(std::abs(turned.z()) > 1e-4, scale > 0);
     EXPECT_GT(error, before);
     before = error;
-    EXPECT_LT((s.map.T_world_body(KeyframeId(0)).translation - s.truth[0].translation).norm(), 1e-9);
+    EXPECT_LT((s.map.T_world_body(KeyframeId(0)).translation - s.truth[0].translation).norm(),
+              1e-9);
   }
 }
 
