@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "fastloop/optimization/block_solver.hpp"
 #include "fastloop/optimization/pose_graph_residual.hpp"
@@ -8,6 +9,7 @@ namespace fastloop::optimization {
 namespace {
 
 constexpr std::size_t kChunkBatches = 64;
+constexpr std::size_t kChunkPoses = 512;
 using Eigen::Map;
 
 PoseGraphKind kind_of(block::EdgeModel model) {
@@ -43,6 +45,13 @@ std::array<double, 8> packed_measurement(PoseGraphKind kind, const Sim3& z) {
   return packed;
 }
 
+/// One lane of a batch: the packed lower triangle or the diagonal.
+void put_information(const PoseGraphInformation& w, bool full, int size, double* to) {
+  for (int r = 0; r < size; ++r) {
+    for (int c = full ? 0 : r; c <= r; ++c, to += block::kLanes) *to = w(r, c);
+  }
+}
+
 void exact_edge(block::EdgeModel model, const double* from, const double* to, const double* measurement,
                 double* residual, double* jacobian) {
   const PoseGraphKind kind = kind_of(model);
@@ -63,40 +72,61 @@ void exact_robust(int kernel, double width, double squared, double* cost, double
 
 }  // namespace
 
-/// A batch stores diagonals only when all its information matrices are diagonal.
-void PoseGraphPlan::Impl::choose_information_layout(const PoseGraphProblem& problem) {
+/// Where the information of every batch lies. A batch stores diagonals only when all its matrices are diagonal, and
+/// batches whose edges all have the same matrix share one copy, which halves what the passes over edges read.
+void PoseGraphPlan::Impl::choose_information_layout(const PoseGraphProblem& problem, bool share) {
   const int size = residual_size(problem.kind);
+  const std::size_t matrices = problem.information.size();
+  full_matrix_.resize(matrices);
+  for (std::size_t k = 0; k < matrices; ++k)
+    full_matrix_[k] = !problem.information[k].topLeftCorner(size, size).isDiagonal(0.0);
+  const auto doubles = [&](bool full) {
+    return static_cast<std::size_t>((full ? size * (size + 1) / 2 : size) * block::kLanes);
+  };
   full_information_.assign(num_batches_, 0);
+  own_information_.assign(num_batches_, 1);
   information_offset_.resize(num_batches_);
-  for (std::size_t s = 0; s < edge_of_slot_.size(); ++s) {
-    if (edge_of_slot_[s] < 0 || full_information_[s / block::kLanes]) continue;
-    const PoseGraphInformation& w = problem.information[problem.edges[edge_of_slot_[s]].information];
-    for (int c = 0; c < size; ++c)
-      for (int r = c + 1; r < size; ++r)
-        if (w(r, c) != 0) full_information_[s / block::kLanes] = 1;
-  }
+  share = share && matrices * block::kLanes <= problem.edges.size();
+  shared_offset_.assign(share ? matrices : 0, 0);
   std::size_t offset = 0;
+  for (std::size_t k = 0; k < shared_offset_.size(); ++k) {
+    shared_offset_[k] = offset;
+    offset += doubles(full_matrix_[k]);
+  }
   for (std::size_t b = 0; b < num_batches_; ++b) {
-    information_offset_[b] = offset;
-    offset += (full_information_[b] ? size * (size + 1) / 2 : size) * block::kLanes;
+    int common = -1;
+    for (int lane = 0; lane < block::kLanes; ++lane) {
+      const std::int64_t edge = edge_of_slot_[b * block::kLanes + lane];
+      const int k = edge < 0 ? -1 : problem.edges[static_cast<std::size_t>(edge)].information;
+      if (k >= 0 && full_matrix_[k]) full_information_[b] = 1;
+      common = lane == 0 || k == common ? k : -1;
+    }
+    if (share && common >= 0) {
+      own_information_[b] = 0;
+      information_offset_[b] = shared_offset_[common];
+    } else {
+      information_offset_[b] = offset;
+      offset += doubles(full_information_[b]);
+    }
   }
   information_.resize(offset);
+  for (std::size_t k = 0; k < shared_offset_.size(); ++k)
+    for (int lane = 0; lane < block::kLanes; ++lane)
+      put_information(problem.information[k], full_matrix_[k], size, information_.data() + shared_offset_[k] + lane);
 }
 
 void PoseGraphPlan::Impl::load_edge(const PoseGraphProblem& problem, std::size_t slot, bool robust) {
   const std::size_t batch = slot / block::kLanes, lane = slot % block::kLanes;
   const int size = residual_size(problem.kind);
-  const bool full = full_information_[batch] != 0;
   double* measurement = measurement_.data() + batch * 8 * block::kLanes + lane;
-  double* information = information_.data() + information_offset_[batch] + lane;
   const PoseGraphEdge* edge = edge_of_slot_[slot] < 0 ? nullptr : &problem.edges[edge_of_slot_[slot]];
   const std::array<double, 8> packed =
       packed_measurement(problem.kind, edge ? edge->T_from_to : Sim3());
   for (int f = 0; f < 8; ++f) measurement[f * block::kLanes] = packed[f];
-  int entry = 0;
-  for (int r = 0; r < size; ++r) {
-    for (int c = full ? 0 : r; c <= r; ++c)
-      information[entry++ * block::kLanes] = edge ? problem.information[edge->information](r, c) : 0.0;
+  if (own_information_[batch]) {
+    double* information = information_.data() + information_offset_[batch] + lane;
+    put_information(edge ? problem.information[edge->information] : PoseGraphInformation(PoseGraphInformation::Zero()),
+                    full_information_[batch] != 0, size, information);
   }
   robust_[slot] = edge && (robust || edge->switchable) ? 1.0 : 0.0;
 }
@@ -109,19 +139,23 @@ void PoseGraphPlan::Impl::load(const PoseGraphProblem& problem, const PoseGraphO
   robust_.resize(num_batches_ * block::kLanes);
   squared_.resize(num_batches_ * block::kLanes);
   chunk_cost_.resize((num_batches_ + kChunkBatches - 1) / kChunkBatches);
-  choose_information_layout(problem);
+  // Rejected edges lose their information, which must then be their own.
+  choose_information_layout(problem, !std::isfinite(options.rejection_gate));
 
   // The world frame is moved to the middle of the graph: derivatives contain positions, and large coordinates
   // (geographic ones, say) would cost digits.
   origin_.setZero();
   for (const Sim3& pose : problem.poses) origin_ += pose.translation;
   if (n > 0) origin_ /= static_cast<double>(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    Sim3 moved = problem.poses[i];
-    moved.translation -= origin_;
-    pose_to(moved, poses_.data() + 8 * i);
-  }
-  std::copy_n(poses_.data(), 8 * n, candidate_.data());
+  passes_.for_chunks((n + kChunkPoses - 1) / kChunkPoses, [&](std::size_t chunk) {
+    const std::size_t begin = chunk * kChunkPoses, end = std::min(n, begin + kChunkPoses);
+    for (std::size_t i = begin; i < end; ++i) {
+      Sim3 moved = problem.poses[i];
+      moved.translation -= origin_;
+      pose_to(moved, poses_.data() + 8 * i);
+    }
+    std::copy(poses_.data() + 8 * begin, poses_.data() + 8 * end, candidate_.data() + 8 * begin);
+  });
   passes_.for_chunks(chunk_cost_.size(), [&](std::size_t chunk) {
     const std::size_t end = std::min(num_batches_, (chunk + 1) * kChunkBatches) * block::kLanes;
     for (std::size_t s = chunk * kChunkBatches * block::kLanes; s < end; ++s)
@@ -152,12 +186,16 @@ double PoseGraphPlan::Impl::damping_scale(const PoseGraphProblem& problem) const
   return std::max(largest * edges_per_vertex, 1e-12);
 }
 
-void PoseGraphPlan::Impl::store_poses(PoseGraphProblem& problem) const {
-  for (std::size_t i = 0; i < problem.poses.size(); ++i) {
-    if (free_index_[i] < 0) continue;
-    problem.poses[i] = pose_from(poses_.data() + 8 * i);
-    problem.poses[i].translation += origin_;
-  }
+void PoseGraphPlan::Impl::store_poses(PoseGraphProblem& problem) {
+  const std::size_t n = problem.poses.size();
+  passes_.for_chunks((n + kChunkPoses - 1) / kChunkPoses, [&](std::size_t chunk) {
+    const std::size_t end = std::min(n, (chunk + 1) * kChunkPoses);
+    for (std::size_t i = chunk * kChunkPoses; i < end; ++i) {
+      if (free_index_[i] < 0) continue;
+      problem.poses[i] = pose_from(poses_.data() + 8 * i);
+      problem.poses[i].translation += origin_;
+    }
+  });
 }
 
 int PoseGraphPlan::Impl::reject_outliers(const PoseGraphProblem& problem, double gate,

@@ -37,21 +37,23 @@ void build_graph(int n, const std::vector<int>& ends, Graph& graph) {
 
 std::vector<int> minimum_degree_order(const Graph& graph) {
   const int n = graph.size();
-  // Only the pattern counts; one byte a value keeps the copies small. Eigen takes a vertex without a diagonal entry
-  // for dense and puts it last, so the diagonal must be there.
-  Eigen::SparseMatrix<signed char, Eigen::ColMajor, int> pattern(n, n);
-  pattern.resizeNonZeros(static_cast<Eigen::Index>(graph.neighbour.size()) / 2 + n);
-  int entry = 0;
+  // Only the pattern counts; one byte a value keeps it small. Eigen takes a vertex without a diagonal entry for dense
+  // and puts it last, so the diagonal must be there. Its AMDOrdering would copy the pattern twice; what it calls takes
+  // the whole pattern, and needs room to grow.
+  using Pattern = Eigen::SparseMatrix<signed char, Eigen::ColMajor, int>;
+  Pattern pattern(n, n);
+  const auto entries = static_cast<Eigen::Index>(graph.neighbour.size()) + n;
+  pattern.resizeNonZeros(entries + entries / 5 + 2 * n);
+  pattern.resizeNonZeros(entries);
+  int* index = pattern.innerIndexPtr();
   for (int v = 0; v < n; ++v) {
-    pattern.outerIndexPtr()[v] = entry;
-    pattern.innerIndexPtr()[entry++] = v;
-    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k)
-      if (graph.neighbour[k] > v) pattern.innerIndexPtr()[entry++] = graph.neighbour[k];
+    pattern.outerIndexPtr()[v] = static_cast<int>(index - pattern.innerIndexPtr());
+    *index++ = v;
+    index = std::copy(graph.neighbour.begin() + graph.begin[v], graph.neighbour.begin() + graph.begin[v + 1], index);
   }
-  pattern.outerIndexPtr()[n] = entry;
-  std::fill_n(pattern.valuePtr(), entry, static_cast<signed char>(1));
+  pattern.outerIndexPtr()[n] = static_cast<int>(entries);
   Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> permutation;
-  Eigen::AMDOrdering<int>()(pattern.selfadjointView<Eigen::Lower>(), permutation);
+  Eigen::internal::minimum_degree_ordering(pattern, permutation);
   return {permutation.indices().data(), permutation.indices().data() + n};
 }
 

@@ -47,9 +47,10 @@ std::vector<int> column_counts(const Graph& graph, const std::vector<int>& order
 /// Postorder in which the child with the longest column comes last: it is the one that may join its parent's front.
 std::vector<int> postorder(const std::vector<int>& parent, const std::vector<int>& count) {
   const int n = static_cast<int>(parent.size());
-  std::vector<int> by_count(n), head(n, -1), next(n, -1), result, stack;
-  std::iota(by_count.begin(), by_count.end(), 0);
-  std::stable_sort(by_count.begin(), by_count.end(), [&](int a, int b) { return count[a] > count[b]; });
+  std::vector<int> by_count(n), head(n, -1), next(n, -1), result, stack, begin(n + 1, 0);
+  for (int v = 0; v < n; ++v) ++begin[n - 1 - count[v]];  // longest first
+  std::exclusive_scan(begin.begin(), begin.end(), begin.begin(), 0);
+  for (int v = 0; v < n; ++v) by_count[begin[n - 1 - count[v]]++] = v;
   for (int v : by_count) {
     if (parent[v] < 0) continue;
     next[v] = head[parent[v]];

@@ -28,6 +28,10 @@ constexpr std::size_t kChunkVertices = 512;
 constexpr int kMaxRejections = 12;      // in a row
 constexpr int kMaxRefinements = 6;      // steps with an old factor
 constexpr double kWorthRefining = 0.05;  // contraction of the expected decrease per step
+// Share of the cost that the quadratic model may have failed to foresee if refining is to be tried, and the same for
+// factors beyond the caches, where two substitutions cost nearly as much as a factorisation.
+constexpr double kMaxExcess = 0.3, kMaxExcessLarge = 0.05;
+constexpr std::size_t kLargeFactor = std::size_t{1} << 23;  // doubles
 
 /// Scratch of one thread for fronts: grows to the largest front and stays.
 std::vector<double>& thread_scratch(std::size_t size) {
@@ -105,6 +109,40 @@ double PoseGraphPlan::Impl::backward() {
   return total;
 }
 
+namespace {
+
+/// move_vertex of the 4-DoF kind without what that kind does not need.
+void move_yaw(const double* p, const double* d, double* q) {
+  const double half = 0.5 * d[0], s = std::sin(half), c = std::cos(half);
+  q[0] = c * p[0] - s * p[1];
+  q[1] = c * p[1] + s * p[0];
+  q[2] = c * p[2] + s * p[3];
+  q[3] = c * p[3] - s * p[2];
+  const double norm = 1 / std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  for (int i = 0; i < 4; ++i) q[i] *= norm;
+  q[4] = p[4] - d[0] * p[5] + d[1];
+  q[5] = p[5] + d[0] * p[4] + d[2];
+  q[6] = p[6] + d[3];
+  q[7] = p[7];
+}
+
+Sim3 pose_at(const double* p) {
+  Sim3 x;
+  x.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
+  x.translation = Vector3d(p[4], p[5], p[6]);
+  x.scale = p[7];
+  return x;
+}
+
+void move_pose(PoseGraphKind kind, const double* p, const Vector7d& d, double* q) {
+  const Sim3 x = move_vertex(kind, pose_at(p), d);
+  Eigen::Map<Eigen::Vector4d>(q, 4) = x.rotation.coeffs();
+  Eigen::Map<Vector3d>(q + 4, 3) = x.translation;
+  q[7] = x.scale;
+}
+
+}  // namespace
+
 void PoseGraphPlan::Impl::move_poses() {
   const std::size_t n = free_pose_.size();
   passes_.for_chunks((n + kChunkVertices - 1) / kChunkVertices, [&](std::size_t chunk) {
@@ -113,16 +151,14 @@ void PoseGraphPlan::Impl::move_poses() {
       const std::size_t pose = static_cast<std::size_t>(free_pose_[symbolic_.order[k]]);
       const double* p = poses_.data() + 8 * pose;
       double* q = candidate_.data() + 8 * pose;
+      const double* step = step_.data() + k * block_size_;
+      if (kind_ == PoseGraphKind::kYaw) {
+        move_yaw(p, step, q);
+        continue;
+      }
       Vector7d d = Vector7d::Zero();
-      for (int c = 0; c < block_size_; ++c) d[c] = step_[k * block_size_ + c];
-      Sim3 x;
-      x.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
-      x.translation = Vector3d(p[4], p[5], p[6]);
-      x.scale = p[7];
-      x = move_vertex(kind_, x, d);
-      Eigen::Map<Eigen::Vector4d>(q, 4) = x.rotation.coeffs();
-      Eigen::Map<Vector3d>(q + 4, 3) = x.translation;
-      q[7] = x.scale;
+      for (int c = 0; c < block_size_; ++c) d[c] = step[c];
+      move_pose(kind_, p, d, q);
     }
   });
 }
@@ -166,16 +202,20 @@ bool PoseGraphPlan::Impl::try_step(double& cost, PoseGraphResult& result) {
 }
 
 /// Steps with the gradient at the new poses and the factor of the old ones. Near the minimum the expected decrease
-/// shrinks by a constant factor per step at a fraction of the price of a factorisation. True: converged.
-bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease, double& cost,
-                                                 PoseGraphResult& result) {
+/// shrinks by a constant factor per step at a fraction of the price of a factorisation. `foreseen` is the cost that the
+/// quadratic model expected after the step; where the true cost lies far above it, the old factor says little about
+/// the new place. True: converged.
+bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease, double foreseen,
+                                                 double& cost, PoseGraphResult& result) {
+  const double max_excess = symbolic_.panel_size < kLargeFactor ? kMaxExcess : kMaxExcessLarge;
+  if (cost - foreseen > max_excess * cost) return false;
   for (int k = 0; k < kMaxRefinements; ++k) {
     Stopwatch watch;
     forward();
     const double decrease = 0.5 * backward();
     result.times.solve_ms += watch.elapsed_ms();
     const double contraction = decrease / last_decrease;
-    if (!(contraction < kWorthRefining)) return false;
+    if (!(contraction < kWorthRefining) || decrease > cost) return false;
     const bool done = decrease * std::max(contraction, 1e-2) <= tolerance * cost;
     if (!try_step(cost, result)) return decrease <= tolerance * cost;
     if (done) return true;
@@ -233,7 +273,7 @@ void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResu
           return converged();
         }
         if (lambda == 0 && decrease > 0.5 * expected &&
-            refine_with_old_factor(tolerance, expected, cost, result)) {
+            refine_with_old_factor(tolerance, expected, before - expected, cost, result)) {
           result.final_cost = cost;
           return converged();
         }

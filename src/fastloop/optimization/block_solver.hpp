@@ -28,13 +28,15 @@ class PoseGraphPlan::Impl {
                                   const std::vector<int>& old_order) const;
   void remember_structure(const PoseGraphProblem& problem);
   void assign_slots(const PoseGraphProblem& problem);
+  int position_in(const block::Front& front, int index) const;
   void build_views();
+  void build_view(std::size_t front);
 
   // block_load.cpp: from the problem's numbers to batches, and back
   void load(const PoseGraphProblem& problem, const PoseGraphOptions& options);
   void load_edge(const PoseGraphProblem& problem, std::size_t slot, bool robust);
-  void choose_information_layout(const PoseGraphProblem& problem);
-  void store_poses(PoseGraphProblem& problem) const;
+  void choose_information_layout(const PoseGraphProblem& problem, bool share);
+  void store_poses(PoseGraphProblem& problem);
   int reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result);
 
   // block_solver.cpp: the iteration
@@ -50,7 +52,8 @@ class PoseGraphPlan::Impl {
   void move_poses();
   void build_damping();
   bool try_step(double& cost, PoseGraphResult& result);
-  bool refine_with_old_factor(double tolerance, double last_decrease, double& cost, PoseGraphResult& result);
+  bool refine_with_old_factor(double tolerance, double last_decrease, double foreseen, double& cost,
+                              PoseGraphResult& result);
   double damping_scale(const PoseGraphProblem& problem) const;
 
   // Structure, valid for the remembered edge ends.
@@ -72,8 +75,10 @@ class PoseGraphPlan::Impl {
   std::size_t num_batches_ = 0;
 
   // Numbers of the present problem.
-  std::vector<std::uint8_t> full_information_;
-  std::vector<std::size_t> information_offset_;
+  std::vector<std::uint8_t> full_information_;  // [batches]
+  std::vector<std::uint8_t> full_matrix_;       // [information matrices]
+  std::vector<std::uint8_t> own_information_;   // [batches] not shared with other batches
+  std::vector<std::size_t> information_offset_, shared_offset_;  // [batches], [information matrices]
   block::Buffer measurement_, information_, robust_;
   Vector3d origin_ = Vector3d::Zero();  // subtracted from all translations
   double damping_scale_ = 1;

@@ -20,21 +20,22 @@ block::EdgeModel model_of(const PoseGraphProblem& problem) {
   return problem.fixed_scale ? block::EdgeModel::kSim3FixedScale : block::EdgeModel::kSim3;
 }
 
+constexpr std::size_t kChunk = 512;
+
 bool fixed_at(const PoseGraphProblem& problem, std::size_t i) {
   return !problem.fixed.empty() && problem.fixed[i] != 0;
 }
 
 }  // namespace
 
-bool PoseGraphPlan::Impl::same_structure(const PoseGraphProblem& problem) const {
-  return num_poses_ == static_cast<int>(problem.poses.size()) &&
-         ends_.size() == 2 * problem.edges.size() && can_extend(problem);
+/// An old order serves any graph on the old vertices and more; whether it serves it well is seen from the work.
+bool PoseGraphPlan::Impl::can_extend(const PoseGraphProblem& problem) const {
+  return num_poses_ > 0 && model_ == model_of(problem) && num_poses_ <= static_cast<int>(problem.poses.size());
 }
 
-/// Do the remembered vertices and edges come first in the problem, unchanged?
-bool PoseGraphPlan::Impl::can_extend(const PoseGraphProblem& problem) const {
-  if (num_poses_ < 0 || model_ != model_of(problem) ||
-      num_poses_ > static_cast<int>(problem.poses.size()) || ends_.size() > 2 * problem.edges.size())
+bool PoseGraphPlan::Impl::same_structure(const PoseGraphProblem& problem) const {
+  if (num_poses_ != static_cast<int>(problem.poses.size()) || model_ != model_of(problem) ||
+      ends_.size() != 2 * problem.edges.size())
     return false;
   for (int i = 0; i < num_poses_; ++i)
     if (fixed_at(problem, i) != (fixed_[i] != 0)) return false;
@@ -89,7 +90,7 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
   result.plan_reused = same_structure(problem);
   if (!result.plan_reused) {
     Stopwatch watch;
-    const bool extend = can_extend(problem) && num_poses_ > 0;
+    const bool extend = can_extend(problem);
     std::vector<int> old_free_pose, old_order;
     if (extend) {
       old_free_pose = free_pose_;
@@ -177,23 +178,28 @@ void PoseGraphPlan::Impl::assign_slots(const PoseGraphProblem& problem) {
   from_.assign(slot, 0);
   to_.assign(slot, 0);
   edge_position_.assign(2 * slot, -1);
-  for (std::size_t k = 0; k < num_edges; ++k) {
-    const std::size_t s = front_edges_end_[front_of_edge[k]]++;
-    edge_of_slot_[s] = static_cast<std::int64_t>(k);
-    from_[s] = ends_[2 * k];
-    to_[s] = ends_[2 * k + 1];
-    if (front_of_edge[k] == static_cast<int>(num_fronts)) continue;
-    const block::Front& f = symbolic_.fronts[front_of_edge[k]];
-    for (int end = 0; end < 2; ++end) {
-      const int index = elimination_index(ends_[2 * k + end]);
-      if (index < 0) continue;
-      const auto rows = symbolic_.rows.begin() + f.rows;
-      edge_position_[2 * s + end] =
-          index < f.first + f.pivots
-              ? index - f.first
-              : f.pivots + static_cast<int>(std::lower_bound(rows, rows + f.below, index) - rows);
+  for (std::size_t k = 0; k < num_edges; ++k)
+    edge_of_slot_[front_edges_end_[front_of_edge[k]]++] = static_cast<std::int64_t>(k);
+  passes_.for_chunks((slot + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(slot, (chunk + 1) * kChunk);
+    for (std::size_t s = chunk * kChunk; s < end; ++s) {
+      if (edge_of_slot_[s] < 0) continue;
+      const std::size_t k = static_cast<std::size_t>(edge_of_slot_[s]);
+      from_[s] = ends_[2 * k];
+      to_[s] = ends_[2 * k + 1];
+      if (front_of_edge[k] == static_cast<int>(num_fronts)) continue;
+      const block::Front& f = symbolic_.fronts[front_of_edge[k]];
+      for (int e = 0; e < 2; ++e) edge_position_[2 * s + e] = position_in(f, elimination_index(ends_[2 * k + e]));
     }
-  }
+  });
+}
+
+/// Block of an eliminated vertex in a front; -1 for vertices that are held.
+int PoseGraphPlan::Impl::position_in(const block::Front& f, int index) const {
+  if (index < 0) return -1;
+  if (index < f.first + f.pivots) return index - f.first;
+  const auto rows = symbolic_.rows.begin() + static_cast<std::ptrdiff_t>(f.rows);
+  return f.pivots + static_cast<int>(std::lower_bound(rows, rows + f.below, index) - rows);
 }
 
 void PoseGraphPlan::Impl::build_views() {
@@ -205,7 +211,13 @@ void PoseGraphPlan::Impl::build_views() {
   fronts_.resize(n);
   children_.resize(symbolic_.children.size());
   front_norm_.resize(n);
-  for (std::size_t k = 0; k < n; ++k) {
+  passes_.for_chunks((n + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(n, (chunk + 1) * kChunk);
+    for (std::size_t k = chunk * kChunk; k < end; ++k) build_view(k);
+  });
+}
+
+void PoseGraphPlan::Impl::build_view(std::size_t k) {
     const block::Front& f = symbolic_.fronts[k];
     block::FrontView& v = fronts_[k];
     v.panel = panel_.data() + f.panel_offset;
@@ -233,7 +245,6 @@ void PoseGraphPlan::Impl::build_views() {
       view.num_runs = child.num_runs;
       view.rhs = rhs_.data() + child.rhs_offset;
     }
-  }
 }
 
 }  // namespace fastloop::optimization

@@ -110,8 +110,9 @@ struct PoseGraphResult {
 };
 
 /// Ordering, symbolic structure and work memory of the block solver, kept between calls. A call with the same
-/// vertices and edge ends reuses everything and allocates nothing; vertices and edges added at the end extend it;
-/// anything else starts afresh. A plan serves one call at a time.
+/// vertices and edge ends reuses everything and allocates nothing. Where vertices were added at the end or edges
+/// changed, the old elimination order is extended if it still serves; otherwise the graph is ordered afresh. A plan
+/// serves one call at a time.
 class PoseGraphPlan {
  public:
   PoseGraphPlan();
