@@ -13,6 +13,7 @@
 #include "fastloop/io/dataset.hpp"
 #include "fastloop/io/options_yaml.hpp"
 #include "fastloop/io/run_output.hpp"
+#include "fastloop/map/map_file.hpp"
 #include "fastloop/system/system.hpp"
 
 namespace fastloop::apps {
@@ -22,8 +23,9 @@ std::atomic<bool> interrupted{false};
 
 struct RunArguments {
   std::string dataset, out, mode = "auto", config, calibration;
-  std::string backend = "auto", record_loops;
-  bool deterministic = false, realtime = false, no_loop = false, no_merge = false, quiet = false;
+  std::string backend = "auto", record_loops, save_map, load_map;
+  bool deterministic = false, realtime = false, no_loop = false, no_merge = false, quiet = false,
+       localize = false;
   std::size_t max_frames = 0;
   double start_s = 0;
 };
@@ -153,6 +155,10 @@ int run(const RunArguments& args) {
   options.loops.record_folder = args.record_loops;
   options.loops.loop.merge_maps = !args.no_merge;
   options.loops.backend = loop::parse_backend(args.backend);
+  if (args.localize && args.load_map.empty()) throw InvalidArgument("--localize needs --load-map");
+  if (!args.load_map.empty())
+    options.initial_map = map::read_map_file(args.load_map).map.publish();
+  options.localize_only = args.localize;
   system::System system(dataset->calibration(), options);
   io::RunFacts facts;
   facts.dataset = std::filesystem::path(args.dataset).filename().string();
@@ -173,6 +179,7 @@ int run(const RunArguments& args) {
   facts.wall_seconds = watch.elapsed_ms() / 1e3;
   facts.interrupted = interrupted;
   io::write_run_output(args.out, system, facts);
+  if (!args.save_map.empty()) map::write_map_file(args.save_map, *system.snapshot());
   if (failure) std::rethrow_exception(failure);
 
   const io::RunSummary s = io::summarize_run(system);
@@ -221,6 +228,12 @@ void add_run_command(CLI::App& app, int& exit_code) {
       ->add_option("--backend", args->backend, "How loops are closed; auto: the fastest there is")
       ->check(CLI::IsMember({"auto", "reference", "cpu"}))
       ->capture_default_str();
+  command->add_option("--save-map", args->save_map, "File that receives the map at the end");
+  command->add_option("--load-map", args->load_map,
+                      "Map of an earlier run with the same cameras; what is new joins it when the "
+                      "place is recognised");
+  command->add_flag("--localize", args->localize,
+                    "Only find the way in the loaded map: nothing is added to it");
   command->add_option("--record-loops", args->record_loops,
                       "Folder that receives the map as it was just before each loop, for replay");
   command->add_flag("--quiet", args->quiet, "No progress lines");

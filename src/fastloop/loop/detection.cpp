@@ -71,6 +71,8 @@ std::vector<Verified> LoopDetector::candidates(const Snapshot& snapshot, Keyfram
   std::vector<KeyframeId> excluded{keyframe};
   for (const map::CovisibilityEdge& e : snapshot.covisible(keyframe))
     excluded.push_back(e.keyframe);
+  for (const KeyframeId id : database.keyframes())
+    if (!snapshot.contains(id)) excluded.push_back(id);
   place::QueryOptions query;
   query.min_shared_ratio = options_.min_shared_ratio;
   const std::vector<place::PlaceCandidate> all = database.query(

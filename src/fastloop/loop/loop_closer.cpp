@@ -9,9 +9,20 @@ LoopCloser::LoopCloser(const LoopOptions& options, Backend backend,
       database_(vocabulary),
       detector_(options, executor_of(backend_)) {}
 
-void LoopCloser::forget_removed(const map::Snapshot& snapshot) {
-  for (const KeyframeId id : database_.keyframes())
-    if (!snapshot.contains(id)) database_.erase(id);
+namespace {
+/// Readers of older snapshots may still ask for a removed keyframe; this many keyframes later none
+/// does.
+constexpr std::uint32_t kForgetAfter = 20;
+}  // namespace
+
+void LoopCloser::forget_removed(const map::Snapshot& snapshot, KeyframeId newest) {
+  for (const KeyframeId id : database_.keyframes()) {
+    if (snapshot.contains(id)) continue;
+    const KeyframeId since = removed_.try_emplace(id, newest).first->second;
+    if (newest.value() < since.value() + kForgetAfter) continue;
+    database_.erase(id);
+    removed_.erase(id);
+  }
 }
 
 void LoopCloser::add(const map::Snapshot& snapshot, KeyframeId keyframe) {
@@ -20,11 +31,24 @@ void LoopCloser::add(const map::Snapshot& snapshot, KeyframeId keyframe) {
                    database_.words_of(snapshot.keyframe(keyframe).data->features->descriptors));
 }
 
+void LoopCloser::add_all(const map::Snapshot& snapshot) {
+  std::vector<KeyframeId> ids;
+  for (std::uint32_t i = 0; i < snapshot.keyframe_slots(); ++i)
+    if (snapshot.contains(KeyframeId(i)) && !database_.words(KeyframeId(i))) ids.emplace_back(i);
+  std::vector<place::PlaceDatabase::Words> words(ids.size());
+  executor_of(backend_).for_ranges(ids.size(), 4, [&](std::size_t begin, std::size_t end) {
+    for (; begin < end; ++begin)
+      words[begin] =
+          database_.words_of(snapshot.keyframe(ids[begin]).data->features->descriptors);
+  });
+  for (std::size_t i = 0; i < ids.size(); ++i) database_.insert(ids[i], std::move(words[i]));
+}
+
 LoopCloser::Outcome LoopCloser::process(const map::Snapshot& snapshot, KeyframeId keyframe) {
   Outcome outcome;
   outcome.waiting_before = detector_.waiting();
   StageClock clock;
-  forget_removed(snapshot);
+  forget_removed(snapshot, keyframe);
   add(snapshot, keyframe);
   clock.lap("words");
   LoopDetector::Result detected = detector_.detect(snapshot, keyframe, database_);

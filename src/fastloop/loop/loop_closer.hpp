@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <optional>
 
 #include "fastloop/loop/detection.hpp"
@@ -29,6 +30,8 @@ class LoopCloser {
 
   /// Takes a keyframe in without looking for loops.
   void add(const map::Snapshot& snapshot, KeyframeId keyframe);
+  /// The same for all keyframes of a map, on all cores unless the back end is the reference.
+  void add_all(const map::Snapshot& snapshot);
   /// Takes a keyframe in and looks whether it closes a loop.
   Outcome process(const map::Snapshot& snapshot, KeyframeId keyframe);
   /// Tells what became of a correction.
@@ -40,13 +43,14 @@ class LoopCloser {
   void set_waiting(const LoopDetector::Waiting& waiting) { detector_.set_waiting(waiting); }
 
  private:
-  void forget_removed(const map::Snapshot& snapshot);
+  void forget_removed(const map::Snapshot& snapshot, KeyframeId newest);
 
   LoopOptions options_;
   Backend backend_;
   place::PlaceDatabase database_;
   LoopDetector detector_;
   CorrectionMemory memory_;
+  std::map<KeyframeId, KeyframeId> removed_;  ///< keyframes to forget, and the newest one back then
 };
 
 }  // namespace fastloop::loop

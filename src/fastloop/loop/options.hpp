@@ -47,7 +47,7 @@ struct LoopOptions {
   /// A loop may demand a correction of this part of the path travelled since the place was seen,
   /// plus a constant: odometry drifts by far less, and a larger demand means that two places look
   /// alike. Not published. 0 switches the gate off.
-  double max_drift_ratio = 0.05;
+  double max_drift_ratio = 0.03;
   double max_drift_constant_m = 0.5;
   double max_drift_rad_per_m = 0.01, max_drift_constant_rad = 0.15;
   /// Two verified candidates of one keyframe that disagree by more than this make it ambiguous.

@@ -27,6 +27,8 @@ class Mapper {
   Mapper(const StereoRig& rig, const PyramidScales& scales, const MappingOptions& options,
          Callbacks callbacks, StageTimes* times);
 
+  /// Begins with a map of an earlier run; to be called first.
+  void set_map(map::Map map) { map_ = std::move(map); }
   /// @param more_waiting  further requests are queued: optional work is skipped
   void process(const map::KeyframeRequest& request, bool more_waiting);
   /// Applies what loop closing found, or refuses it. Publishes nothing: the next

@@ -12,6 +12,7 @@ namespace {
 
 /// Keyframes that may wait to be looked at; beyond that the oldest are only made known.
 constexpr std::size_t kMaxWaiting = 8;
+constexpr std::size_t kMaxSimilar = 8;  ///< keyframes proposed for relocalisation
 
 }  // namespace
 
@@ -19,6 +20,23 @@ void LoopClosingOptions::validate() const {
   if (max_adjusted_keyframes < 2)
     throw InvalidArgument("LoopClosingOptions::max_adjusted_keyframes must be at least 2");
   loop.validate();
+}
+
+std::vector<KeyframeId> similar_keyframes(const place::PlaceDatabase& database,
+                                          const FeatureSet& features,
+                                          const map::Snapshot& snapshot) {
+  const auto slots = static_cast<std::uint32_t>(snapshot.keyframe_slots());
+  std::vector<KeyframeId> excluded;
+  for (const KeyframeId id : database.keyframes())
+    if (!snapshot.contains(id) || id.value() + 1 >= slots) excluded.push_back(id);
+  const auto words = database.words_of(features.descriptors);
+  const auto neighbours = [&](KeyframeId id) { return snapshot.best_covisible(id, 10); };
+  std::vector<KeyframeId> ids;
+  for (const place::PlaceCandidate& c :
+       database.query(words->vector, excluded, neighbours, place::QueryOptions{0.5f}))
+    ids.push_back(c.keyframe);
+  if (ids.size() > kMaxSimilar) ids.resize(kMaxSimilar);
+  return ids;
 }
 
 LoopClosing::LoopClosing(const LoopClosingOptions& options, const mapping::MappingOptions& mapping,

@@ -37,6 +37,12 @@ struct LoopRecord {
   bool merge = false;
 };
 
+/// Keyframes that look most like an image, best first, among those that every run knows at this
+/// version of the map: all but the newest, which loop closing may still be looking at.
+std::vector<KeyframeId> similar_keyframes(const place::PlaceDatabase& database,
+                                          const FeatureSet& features,
+                                          const map::Snapshot& snapshot);
+
 /// Loop closing beside mapping: a thread of its own finds loops, the owner of the map applies them
 /// between two keyframes, a global adjustment refines the result in the background.
 ///
@@ -54,6 +60,8 @@ class LoopClosing {
               bool threaded, bool live, Callbacks callbacks, StageTimes* times);
   ~LoopClosing();
 
+  /// Makes the keyframes of a map known; to be called before the first keyframe.
+  void add_all(const map::Snapshot& snapshot) { closer_.add_all(snapshot); }
   /// Applies what has been found. Rethrows an exception of the threads.
   void before_keyframe(mapping::Mapper& mapper);
   /// Hands over a keyframe that was mapped.

@@ -7,7 +7,7 @@ namespace fastloop::system {
 MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales,
                              const mapping::MappingOptions& options, const WorkerPace& pace,
                              const LoopClosingOptions& loops, Callbacks callbacks,
-                             StageTimes* times)
+                             std::shared_ptr<const map::Snapshot> initial_map, StageTimes* times)
     : pace_(pace),
       mapper_(rig, scales, options,
               {[this](std::shared_ptr<const map::Snapshot> snapshot) {
@@ -19,6 +19,10 @@ MappingWorker::MappingWorker(const StereoRig& rig, const PyramidScales& scales,
               times),
       loops_(loops, options, pace.threaded, pace.live,
              {std::move(callbacks.loop_applied), [this] { queue_.try_push(std::nullopt); }}, times) {
+  if (initial_map) {
+    mapper_.set_map(map::Map(*initial_map));
+    loops_.add_all(*initial_map);
+  }
   newest_ = visible_ = mapper_.map().publish();
   if (pace_.threaded) thread_ = std::jthread([this] { run(); });
 }

@@ -39,7 +39,8 @@ class MappingWorker {
   };
   MappingWorker(const StereoRig& rig, const PyramidScales& scales,
                 const mapping::MappingOptions& options, const WorkerPace& pace,
-                const LoopClosingOptions& loops, Callbacks callbacks, StageTimes* times);
+                const LoopClosingOptions& loops, Callbacks callbacks,
+                std::shared_ptr<const map::Snapshot> initial_map, StageTimes* times);
   ~MappingWorker();
 
   /// Hands over what `frame` asks for; waits while the queue is full. Frames never decrease.

@@ -24,7 +24,7 @@ StereoRig simple_rig() {
 }
 
 MappingWorker make_worker(const WorkerPace& pace) {
-  return MappingWorker(simple_rig(), PyramidScales(8, 1.2f), {}, pace, {}, {}, nullptr);
+  return MappingWorker(simple_rig(), PyramidScales(8, 1.2f), {}, pace, {}, {}, nullptr, nullptr);
 }
 
 /// A keyframe without any feature that starts a map.

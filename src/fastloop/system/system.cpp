@@ -26,8 +26,9 @@ Mode resolve_mode(Mode wanted, const Calibration& c) {
 
 SystemOptions complete(SystemOptions options, Mode mode) {
   options.mode = mode;
-  options.tracking.use_imu = options.mapping.use_imu = options.loops.loop.inertial =
-      mode == Mode::kStereoInertial;
+  options.tracking.localize_only = options.localize_only;
+  options.tracking.use_imu = mode == Mode::kStereoInertial && !options.localize_only;
+  options.mapping.use_imu = options.loops.loop.inertial = options.tracking.use_imu;
   return options;
 }
 
@@ -38,6 +39,15 @@ WorkerPace pace_of(const SystemOptions& options) {
 
 bool is_finite(const ImuSample& s) {
   return s.gyro.allFinite() && s.accel.allFinite();
+}
+
+bool same_rig(const StereoRig& a, const StereoRig& b) {
+  const auto same_camera = [](const Camera& x, const Camera& y) {
+    return x.model == y.model && x.width == y.width && x.height == y.height && x.fx == y.fx &&
+           x.fy == y.fy && x.cx == y.cx && x.cy == y.cy && x.distortion == y.distortion;
+  };
+  return a.kind == b.kind && same_camera(a.left, b.left) && a.baseline_m == b.baseline_m &&
+         (a.kind == StereoRig::Kind::kRectified || same_camera(a.right, b.right));
 }
 
 const char* event_kind(tracking::State before, tracking::State after) {
@@ -71,6 +81,7 @@ void SystemOptions::validate() const {
   tracking.validate();
   mapping.validate();
   loops.validate();
+  if (localize_only && !initial_map) throw InvalidArgument("localisation needs a map");
 }
 
 struct System::Impl {
@@ -95,7 +106,11 @@ struct System::Impl {
             options.mapping, pace_of(options), options.loops,
             {[this](Nanoseconds stamp, const mapping::ImuStep& step) { on_imu(stamp, step); },
              [this](const LoopRecord& record) { on_loop(record); }},
-            &times) {}
+            options.initial_map, &times) {
+    tracker.set_candidate_source([this](const FeatureSet& features, const map::Snapshot& snapshot) {
+      return similar_keyframes(worker.loops().database(), features, snapshot);
+    });
+  }
 
   void add_event(Event event) {
     logger("system").info("{:.3f} {}: {}", to_seconds(event.stamp_ns), event.kind, event.reason);
@@ -152,6 +167,8 @@ System::System(const Calibration& calibration, const SystemOptions& options) {
   calibration.validate();
   options.validate();
   impl_ = std::make_unique<Impl>(calibration, options);
+  if (options.initial_map && !same_rig(options.initial_map->rig(), impl_->builder.rig()))
+    throw InvalidArgument("the map was made with other cameras than those of this data");
 }
 
 System::~System() = default;

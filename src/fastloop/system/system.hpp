@@ -34,6 +34,10 @@ struct SystemOptions {
   tracking::TrackingOptions tracking;
   mapping::MappingOptions mapping;
   LoopClosingOptions loops;
+  /// A map of an earlier run with the same cameras. New keyframes go to a map of their own, which
+  /// joins it when the place is recognised.
+  std::shared_ptr<const map::Snapshot> initial_map;
+  bool localize_only = false;  ///< tracks in initial_map and changes nothing; without IMU
   void validate() const;  ///< throws InvalidArgument naming the field
 };
 

@@ -79,7 +79,6 @@ int count_inliers(const std::vector<Pair>& pairs, const SE3& T_world_body) {
 std::vector<KeyframeId> Relocalizer::candidates(const map::Snapshot& snapshot,
                                                 const FeatureSet& features, MapId map,
                                                 KeyframeId near) {
-  if (source_) return source_(features, snapshot);
   std::vector<KeyframeId> ids;
   const auto add = [&](KeyframeId id) {
     if (snapshot.contains(id) && snapshot.keyframe(id).map == map &&
@@ -89,6 +88,8 @@ std::vector<KeyframeId> Relocalizer::candidates(const map::Snapshot& snapshot,
   add(near);
   if (snapshot.contains(near))
     for (const KeyframeId id : snapshot.best_covisible(near, kKeyframesPerCall / 2 - 1)) add(id);
+  if (source_)
+    for (const KeyframeId id : source_(features, snapshot)) add(id);
   const auto slots = static_cast<std::uint32_t>(snapshot.keyframe_slots());
   for (std::uint32_t tried = 0; tried < slots && ids.size() < kKeyframesPerCall; ++tried)
     add(KeyframeId(next_++ % slots));

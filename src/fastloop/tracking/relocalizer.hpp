@@ -23,8 +23,8 @@ class Relocalizer {
   using CandidateSource = std::function<std::vector<KeyframeId>(const FeatureSet& features,
                                                                 const map::Snapshot& snapshot)>;
 
-  /// Without a source, each call tries the surroundings of `near` and the next few keyframes in
-  /// turn.
+  /// Each call tries the surroundings of `near`, then what the source names (keyframes that look
+  /// like the frame, best first), then the next few keyframes in turn.
   void set_candidate_source(CandidateSource source) { source_ = std::move(source); }
 
   std::optional<Relocation> relocalise(const map::Snapshot& snapshot, const FeatureSet& features,

@@ -51,7 +51,8 @@ TrackResult Tracker::track(const Input& input,
                            const std::shared_ptr<const map::Snapshot>& snapshot) {
   snapshot_ = snapshot;
   begin_frame(input);
-  if (state_ == State::kInitialising || state_ == State::kLost) return initialise(input);
+  if (state_ == State::kInitialising || state_ == State::kLost)
+    return options_.localize_only ? localise() : initialise(input);
 
   if (last_->reference.value() >= snapshot_->keyframe_slots())
     throw InvalidArgument(
@@ -150,6 +151,40 @@ TrackResult Tracker::initialise(const Input& input) {
   result.reference = result.keyframe->id;
   result.inliers = with_depth;
   pose_version_ = 0;
+  return result;
+}
+
+/// First pose in a map that is there already.
+TrackResult Tracker::localise() {
+  TrackResult result;
+  std::optional<Relocation> found;
+  for (const map::MapInfo& info : snapshot_->maps()) {
+    if (info.num_keyframes == 0) continue;
+    map_ = info.id;
+    found = relocalizer_.relocalise(*snapshot_, *frame_.features, map_, KeyframeId{},
+                                    options_.min_inliers);
+    if (found) break;
+  }
+  result.state = state_ = found ? State::kTracking : State::kInitialising;
+  if (!found) {
+    result.reason = "not found in the map yet";
+    return result;
+  }
+  frame_.state.T_world_body = found->T_world_body;
+  frame_.landmarks = std::move(found->landmarks);
+  frame_.reference = found->keyframe;
+  frame_.T_reference_body =
+      snapshot_->T_world_body(found->keyframe).inverse() * found->T_world_body;
+  inliers_ = found->inliers;
+  motion_s_ = 0;
+  pose_version_ = snapshot_->pose_version();
+  last_ = frame_;
+  result.reason = "found in the map with " + std::to_string(inliers_) + " landmarks";
+  result.inliers = inliers_;
+  result.has_pose = true;
+  result.T_world_body = found->T_world_body;
+  result.reference = frame_.reference;
+  result.T_reference_body = frame_.T_reference_body;
   return result;
 }
 
@@ -448,13 +483,14 @@ void Tracker::finish_lost(TrackResult& result) {
   if (to_seconds(frame_.stamp_ns - lost_since_ns_) > patience) {
     state_ = State::kLost;
     result.reason =
-        "not found again within " + std::to_string(patience) + " s: a new map will be started";
+        "not found again within " + std::to_string(patience) + " s: " +
+        (options_.localize_only ? "searched in the whole map" : "a new map will be started");
     result.has_pose = false;
   }
 }
 
 bool Tracker::wants_keyframe(const Input& input) const {
-  if (input.mapping_full) return false;
+  if (input.mapping_full || options_.localize_only) return false;
   KeyframeSituation s;
   s.seconds_since_keyframe = to_seconds(frame_.stamp_ns - last_keyframe_ns_);
   s.inliers = inliers_;

@@ -29,6 +29,11 @@ class Tracker {
   Tracker(const TrackingOptions& options, const std::optional<ImuCalibration>& imu,
           StageTimes* times);
 
+  /// Where relocalisation looks first; see Relocalizer.
+  void set_candidate_source(Relocalizer::CandidateSource source) {
+    relocalizer_.set_candidate_source(std::move(source));
+  }
+
   struct Input {
     FrameId id;
     Nanoseconds stamp_ns = 0;
@@ -44,6 +49,7 @@ class Tracker {
   void begin_frame(const Input& input);
   void append_imu(const std::vector<ImuSample>& samples);
   TrackResult initialise(const Input& input);
+  TrackResult localise();
   SE3 level_pose(const Input& input) const;
   void follow_map_changes();
   void predict();

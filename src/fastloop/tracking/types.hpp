@@ -15,6 +15,7 @@ const char* to_string(State state);
 
 struct TrackingOptions {
   bool use_imu = false;
+  bool localize_only = false;  ///< finds its place in the map at hand and asks for no keyframes
   double imu_noise_factor =
       20;  ///< on the white noise densities of the calibration: vibration, scale errors
   int min_initial_depth_points = 100;  ///< keypoints with depth needed to start a map
