@@ -59,12 +59,12 @@ void add_simulate_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand("simulate", "Make a synthetic sequence with exact ground truth");
   command->footer(
       "Worlds: room (8 x 6 m, 40 s), hall (25 x 15 m, 90 s), corridor (214 m circuit, 160 s, fisheye),\n"
-      "campus (streets, 1.1 km, 300 s). The folder is an EuRoC recording (mav0/...), or a TUM RGB-D one for\n"
+      "campus (streets, 1.1 km, 300 s), ring (63 m around, 64 s), cloister (a ring of bays that look alike, 120 s). The folder is an EuRoC recording (mav0/...), or a TUM RGB-D one for\n"
       "--camera rgbd. The same seed gives the same bytes.\n"
       "Example: fastloop simulate room --out /tmp/room --seconds 20 --seed 3");
-  command->add_option("world", a->world, "room, hall, corridor or campus")
+  command->add_option("world", a->world, "room, hall, corridor, campus, ring or cloister")
       ->required()
-      ->check(CLI::IsMember({"room", "hall", "corridor", "campus"}));
+      ->check(CLI::IsMember({"room", "hall", "corridor", "campus", "ring", "cloister"}));
   command->add_option("--out", a->out, "Folder to write; must be new, empty or an earlier simulation")->required();
   command->add_option("--seconds", a->seconds, "Length; default: the usual length of the world")
       ->check(CLI::Range(0.1, 7200.0));

@@ -137,8 +137,8 @@ bool LoopDetector::recheck(const Snapshot& snapshot, KeyframeId keyframe,
   v.report.gates.push_back({"confirmations", static_cast<double>(waiting->confirmations),
                             static_cast<double>(options_.confirmations), enough});
   if (enough) {
-    accept(snapshot, v.match, v.report, result);
     waiting.reset();
+    if (is_possible(snapshot, v.match, v.report)) accept(v.match, v.report, result);
   } else {
     v.report.verdict = Verdict::kWaiting;
     v.report.reason = "waits for more keyframes that agree";
@@ -147,44 +147,57 @@ bool LoopDetector::recheck(const Snapshot& snapshot, KeyframeId keyframe,
   return true;
 }
 
-void LoopDetector::accept(const Snapshot& snapshot, const RegionMatch& match,
-                          CandidateReport& report, Result& result) const {
-  RegionMatch checked = match;
-  if (const auto reason = check_motion(snapshot, options_, checked, report)) {
+bool LoopDetector::is_possible(const Snapshot& snapshot, RegionMatch& match,
+                               CandidateReport& report) const {
+  const auto fault = check_motion(snapshot, options_, match, report);
+  if (fault) {
     report.verdict = Verdict::kRejected;
-    report.reason = *reason;
-    return;
+    report.reason = *fault;
   }
+  return !fault;
+}
+
+void LoopDetector::accept(const RegionMatch& match, CandidateReport& report, Result& result) const {
   report.verdict = Verdict::kAccepted;
   report.reason = match.merge ? "maps joined" : "loop closed";
-  result.match = std::move(checked);
+  result.match = match;
+}
+
+Verified* LoopDetector::best_of(const Snapshot& snapshot, std::span<Verified> verified,
+                                bool merge) const {
+  std::vector<Verified*> possible;
+  for (Verified& v : verified)
+    if (v.report.merge == merge && v.confirmations > 0 && is_possible(snapshot, v.match, v.report))
+      possible.push_back(&v);
+  if (possible.empty()) return nullptr;
+  Verified* best = *std::max_element(possible.begin(), possible.end(), [](auto* a, auto* b) {
+    return a->match.num_matches < b->match.num_matches;
+  });
+  const SE3 T_best = best->match.T_camera_world.inverse();
+  bool ambiguous = false;
+  for (Verified* v : possible) {
+    if (v == best ||
+        snapshot.keyframe(v->match.matched).map != snapshot.keyframe(best->match.matched).map)
+      continue;
+    const SE3 T = v->match.T_camera_world.inverse();
+    if ((T.translation - T_best.translation).norm() <= options_.ambiguous_distance_m &&
+        angle_between(T, T_best) <= options_.ambiguous_angle_rad) {
+      v->report.reason = "agrees with a candidate that has more matches";
+      continue;
+    }
+    ambiguous = true;
+    v->report.reason = "ambiguous: several places look like this one";
+  }
+  if (ambiguous) best->report.reason = "ambiguous: several places look like this one";
+  return ambiguous ? nullptr : best;
 }
 
 void LoopDetector::choose(const Snapshot& snapshot, KeyframeId keyframe,
-                          std::vector<Verified>& verified, bool merge, Result& result) {
-  Verified* best = nullptr;
-  for (Verified& v : verified)
-    if (v.report.merge == merge && v.confirmations > 0 &&
-        (!best || v.match.num_matches > best->match.num_matches))
-      best = &v;
+                          std::span<Verified> verified, bool merge, Result& result) {
+  Verified* best = best_of(snapshot, verified, merge);
   if (!best) return;
-  const SE3 T_best = best->match.T_camera_world.inverse();
-  for (Verified& v : verified) {
-    if (v.report.merge != merge || v.confirmations == 0 || &v == best) continue;
-    const MapId map = snapshot.keyframe(v.match.matched).map;
-    if (map != snapshot.keyframe(best->match.matched).map) continue;
-    const SE3 T = v.match.T_camera_world.inverse();
-    if ((T.translation - T_best.translation).norm() <= options_.ambiguous_distance_m &&
-        angle_between(T, T_best) <= options_.ambiguous_angle_rad) {
-      v.report.reason = "agrees with a candidate that has more matches";
-      continue;
-    }
-    for (Verified* refused : {&v, best})
-      refused->report.reason = "ambiguous: several places look like this one";
-    return;
-  }
   if (best->confirmations >= options_.confirmations) {
-    accept(snapshot, best->match, best->report, result);
+    accept(best->match, best->report, result);
     return;
   }
   best->report.verdict = Verdict::kWaiting;

@@ -49,10 +49,13 @@ class LoopDetector {
   /// Re-checks what is waiting; true when it is confirmed now.
   bool recheck(const map::Snapshot&, KeyframeId, std::optional<WaitingRegion>& waiting,
                StageClock& clock, Result& result) const;
-  void choose(const map::Snapshot&, KeyframeId, std::vector<Verified>& verified, bool merge,
+  /// Gates on the correction; notes the reason when it cannot be.
+  bool is_possible(const map::Snapshot&, RegionMatch& match, CandidateReport& report) const;
+  /// The verified candidate of a kind with most matches, unless others contradict it.
+  Verified* best_of(const map::Snapshot&, std::span<Verified> verified, bool merge) const;
+  void choose(const map::Snapshot&, KeyframeId, std::span<Verified> verified, bool merge,
               Result& result);
-  void accept(const map::Snapshot&, const RegionMatch& match, CandidateReport& report,
-              Result& result) const;
+  void accept(const RegionMatch& match, CandidateReport& report, Result& result) const;
 
   LoopOptions options_;
   Executor executor_;

@@ -56,6 +56,7 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options, Backen
   optimization::PoseGraphOptions solve;
   solve.solver = backend == Backend::kReference ? optimization::PoseGraphSolverKind::kReference
                                                 : optimization::PoseGraphSolverKind::kBlock;
+  solve.relative_tolerance = 1e-10;  // both solvers end at the same poses
   solve.threads = backend == Backend::kReference ? 1 : options.graph_threads;
   optimization::solve_pose_graph(memory.graph.problem, solve, &memory.plan, memory.graph_result);
   for (std::size_t v = 0; v < memory.graph.keyframe_of_vertex.size(); ++v) {

@@ -30,6 +30,8 @@ Style style(WorldKind kind) {
     case WorldKind::kHall: return {1.12, 1.2, 2.5, 0.8, 2.6, 0.8, 1.0, 1.2, 0.05};
     case WorldKind::kCorridor: return {1.36, 1.38, 1.5, 0.5, 1.5, 0.06, 0.6, 0.7, 0.0};
     case WorldKind::kCampus: return {3.8, 4.2, 7.0, 2.0, 2.2, 0.4, 0.8, 0.8, -0.06};
+    case WorldKind::kRing:
+    case WorldKind::kCloister: return {1.1, 1.25, 4.0, 0.8, 1.5, 0.05, 0.5, 0.5, 0.0};
   }
   throw InvalidArgument("unknown world");
 }
@@ -120,9 +122,10 @@ void append_rounded_corner(std::vector<Eigen::Vector2d>& points, const Eigen::Ve
 
 WorldKind parse_world_kind(const std::string& name) {
   for (const WorldKind k :
-       {WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor, WorldKind::kCampus})
+       {WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor, WorldKind::kCampus,
+        WorldKind::kRing, WorldKind::kCloister})
     if (to_string(k) == name) return k;
-  throw InvalidArgument("unknown world '" + name + "' (expected room, hall, corridor or campus)");
+  throw InvalidArgument("unknown world '" + name + "' (expected room, hall, corridor, campus, ring or cloister)");
 }
 
 std::string to_string(WorldKind kind) {
@@ -131,6 +134,8 @@ std::string to_string(WorldKind kind) {
     case WorldKind::kHall: return "hall";
     case WorldKind::kCorridor: return "corridor";
     case WorldKind::kCampus: return "campus";
+    case WorldKind::kRing: return "ring";
+    case WorldKind::kCloister: return "cloister";
   }
   return "?";
 }
@@ -141,6 +146,8 @@ double default_seconds(WorldKind kind) {
     case WorldKind::kHall: return 90;
     case WorldKind::kCorridor: return 160;
     case WorldKind::kCampus: return 300;
+    case WorldKind::kRing: return 64;
+    case WorldKind::kCloister: return 120;
   }
   return 40;
 }
@@ -191,6 +198,15 @@ FloorPath floor_path(WorldKind kind) {
       return FloorPath({{-5.8, -3.1}, {-1.5, -3.1}, {2, -3.7}, {5.8, -3.1}, {5.8, 3.1}, {1, 2.5}, {-5.8, 3.1}},
                        radius);
     case WorldKind::kCorridor: return FloorPath(corridor_corners(), radius);
+    case WorldKind::kRing:
+    case WorldKind::kCloister: {
+      std::vector<Eigen::Vector2d> corners;
+      for (int i = 0; i < kRingBays; ++i) {
+        const double angle = 2 * M_PI * (i + 0.5) / kRingBays;
+        corners.emplace_back(kRingRadius * std::cos(angle), kRingRadius * std::sin(angle));
+      }
+      return FloorPath(corners, radius);
+    }
     case WorldKind::kCampus: {
       const double p = kCampusPitch;  // figure of eight: the middle street is walked twice per lap
       return FloorPath({{0, 0}, {0, p}, {-p, p}, {-p, 0}, {0, 0}, {0, p}, {p, p}, {p, 0}}, radius);

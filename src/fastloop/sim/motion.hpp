@@ -8,9 +8,9 @@
 
 namespace fastloop::sim {
 
-enum class WorldKind { kRoom, kHall, kCorridor, kCampus };
+enum class WorldKind { kRoom, kHall, kCorridor, kCampus, kRing, kCloister };
 
-/// @throws InvalidArgument on an unknown name; names are "room", "hall", "corridor", "campus"
+/// @throws InvalidArgument on an unknown name; names are "room", "hall", "corridor", "campus", "ring", "cloister"
 WorldKind parse_world_kind(const std::string& name);
 std::string to_string(WorldKind kind);
 /// Length of the usual sequence, seconds.
@@ -36,6 +36,9 @@ class FloorPath {
 /// Floor plan walked in a world. The corridor is the rectangle `corridor_corners`, counter-clockwise.
 FloorPath floor_path(WorldKind kind);
 std::vector<Eigen::Vector2d> corridor_corners();
+/// Ring and cloister: a ring of bays, walked along its middle. Those of the cloister look the same.
+inline constexpr int kRingBays = 16;
+inline constexpr double kRingRadius = 10;
 /// Side of a street block of the campus, centre line to centre line, metres.
 inline constexpr double kCampusPitch = 72;
 

@@ -107,7 +107,8 @@ TEST(SimulatedSequence, DepthCarriesOneImageIntoAnother) {
 }
 
 TEST(SimulatedSequence, ImagesHaveStrongTextureAllOver) {
-  for (const WorldKind world : {WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor, WorldKind::kCampus}) {
+  for (const WorldKind world : {WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor, WorldKind::kCampus,
+                               WorldKind::kCloister}) {
     SequenceOptions options;
     options.world = world;
     options.seconds = 6;

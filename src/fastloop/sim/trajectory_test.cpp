@@ -67,6 +67,8 @@ TEST_P(Motion, StaysWithinTheSpeedOfAHand) {
   const double least = GetParam() == WorldKind::kRoom       ? 28
                        : GetParam() == WorldKind::kHall     ? 1.95 * floor_path(WorldKind::kHall).length()  // walked twice
                        : GetParam() == WorldKind::kCorridor ? 200
+                       : GetParam() == WorldKind::kRing     ? floor_path(WorldKind::kRing).length()
+                       : GetParam() == WorldKind::kCloister ? 1.9 * floor_path(WorldKind::kCloister).length()
                                                             : 1000;
   for (std::uint64_t seed = 1; seed <= 12; ++seed) {
     const Trajectory x = motion(GetParam(), seconds, seed);
@@ -108,7 +110,8 @@ TEST_P(Motion, ComesBackToPlacesItHasSeen) {
 
 INSTANTIATE_TEST_SUITE_P(Worlds, Motion,
                          ::testing::Values(WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor,
-                                           WorldKind::kCampus),
+                                           WorldKind::kCampus, WorldKind::kRing,
+                                           WorldKind::kCloister),
                          [](const auto& i) { return to_string(i.param); });
 
 TEST(Motion, CorridorEndsWhereItBegan) {

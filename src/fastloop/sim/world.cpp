@@ -137,6 +137,48 @@ World make_corridor(std::uint64_t seed, std::span<const Vector3d> path) {
   return builder.finish();
 }
 
+/// A ring of bays. Those of the cloister (`alike`) are images of the first turned about the centre:
+/// places that look the same and are not; what closes a loop there must know how far it has come.
+World make_ring(std::uint64_t seed, std::span<const Vector3d> path, bool alike) {
+  constexpr double kInner = 8.4, kOuter = 11.6, kHeight = 2.8;
+  const double step = 2 * M_PI / kRingBays;
+  const auto turn = [&](int bay) {
+    return Eigen::AngleAxisd(bay * step, Vector3d::UnitZ()).toRotationMatrix();
+  };
+  // Nothing may stand in the way in any bay: the whole path, seen from the first.
+  std::vector<Vector3d> folded;
+  for (const Vector3d& p : path)
+    folded.push_back(turn(-static_cast<int>(std::lround(std::atan2(p.y(), p.x()) / step))) * p);
+  const Vector3d up = kHeight * Vector3d::UnitZ();
+  const auto make_bay = [&](std::uint64_t bay_seed) {
+    WorldBuilder builder(bay_seed, folded);
+    for (const double r : {kInner, kOuter}) {
+      const double half = r * std::tan(step / 2);
+      builder.quad({r, -half, 0}, {0, 2 * half, 0}, up, 1.0);
+    }
+    const double half = kOuter * std::tan(step / 2);
+    for (const double z : {0.0, kHeight})
+      builder.quad({kInner - 0.1, -half, z}, {kOuter - kInner + 0.2, 0, 0}, {0, 2 * half, 0}, 1.0);
+    builder.furnish({kInner, -1.7, 0}, {kOuter, 1.7, kHeight}, 10, 4, 8, 0.9, 0.5);
+    return builder.finish();
+  };
+  World ring, bay = make_bay(seed);
+  for (int i = 0; i < kRingBays; ++i) {
+    if (!alike && i > 0) bay = make_bay(mix64(seed + static_cast<std::uint64_t>(i)));
+    for (Surface s : bay.surfaces) {
+      // Floors of neighbours overlap near the inner wall; a little step decides which one is seen.
+      s.origin = turn(i) * s.origin - Vector3d(0, 0, 0.002 * (i % 2));
+      s.axis_a = turn(i) * s.axis_a;
+      s.axis_b = turn(i) * s.axis_b;
+      ring.surfaces.push_back(s);
+    }
+  }
+  const double reach = 1.02 * kOuter / std::cos(step / 2);
+  ring.low = {-reach, -reach, -0.01};
+  ring.high = {reach, reach, kHeight};
+  return ring;
+}
+
 /// Houses along the four sides of a street block, with gaps between some of them.
 void street_block(WorldBuilder& builder, const Vector3d& centre) {
   constexpr double kHalf = 0.5 * kCampusPitch - 6;  // streets are 12 m wide
@@ -195,6 +237,8 @@ World make_world(WorldKind kind, std::uint64_t seed, std::span<const Vector3d> p
     case WorldKind::kHall: return make_hall(seed, path);
     case WorldKind::kCorridor: return make_corridor(seed, path);
     case WorldKind::kCampus: return make_campus(seed, path);
+    case WorldKind::kRing: return make_ring(seed, path, false);
+    case WorldKind::kCloister: return make_ring(seed, path, true);
   }
   throw InvalidArgument("unknown world");
 }

@@ -100,7 +100,8 @@ TEST_P(Worlds, FollowsFromTheSeed) {
 
 INSTANTIATE_TEST_SUITE_P(Kinds, Worlds,
                          ::testing::Values(WorldKind::kRoom, WorldKind::kHall, WorldKind::kCorridor,
-                                           WorldKind::kCampus),
+                                           WorldKind::kCampus, WorldKind::kRing,
+                                           WorldKind::kCloister),
                          [](const auto& i) { return to_string(i.param); });
 
 TEST(WorldAround, EnclosesAnyMotion) {
