@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "fastloop/map/ring_map_for_tests.hpp"
 #include "fastloop/optimization/pose_graph.hpp"
 #include "fastloop/sim/pose_graph_worlds.hpp"
 
@@ -186,6 +187,44 @@ void kept_plan(benchmark::State& state, const std::string& shape, int dof, int p
   }
 }
 
+/// Building the problem from a snapshot and bringing the result back, against the solve between them. A keyframe has
+/// 1,200 keypoints, 350 of them with landmarks; moving keyframes moves those. The map is shared with a published
+/// snapshot, so that every keyframe is cloned before it changes.
+void hand_over(benchmark::State& state, int poses) {
+  map::testing::RingMapOptions ring;
+  ring.keyframes = poses;
+  ring.unused_keypoints = 850;
+  ring.yaw_drift = 0.3 / poses;
+  const map::Map original = map::testing::ring_map(ring);
+  const map::ClosedLoop loop = map::testing::ring_loop(original);
+  map::EssentialGraph graph;
+  for (auto _ : state) {
+    std::vector<double> build, solve, back;
+    PoseGraphResult result;
+    for (int repeat = 0; repeat < 8; ++repeat) {
+      map::Map working = original;
+      const double begin = cpu_ms();
+      map::build_essential_graph(working, MapId(0), loop, {}, graph);
+      const double built = cpu_ms();
+      solve_pose_graph(graph.problem, {}, nullptr, result);
+      const double solved = cpu_ms();
+      map::take_back(graph, working);
+      const double done = cpu_ms();
+      if (repeat == 0) continue;
+      build.push_back(built - begin);
+      solve.push_back(solved - built);
+      back.push_back(done - solved);
+    }
+    state.SetIterationTime(1e-3 * (median(build) + median(back)));
+    state.counters["build_ms"] = median(build);
+    state.counters["solve_ms"] = median(solve);
+    state.counters["back_ms"] = median(back);
+    state.counters["share_of_solve"] = (median(build) + median(back)) / median(solve);
+    state.counters["edges"] = static_cast<double>(graph.problem.edges.size());
+    state.counters["converged"] = result.status == PoseGraphStatus::kConverged;
+  }
+}
+
 /// N = 100,000 against N = 3,000.
 void scaling(benchmark::State& state, const std::string& shape, int dof) {
   const Graph& small = graph_named(shape, dof, 3000);
@@ -209,6 +248,8 @@ const int kRegistered = [] {
   const auto once = [](benchmark::internal::Benchmark* b) {
     b->Iterations(1)->UseManualTime()->Unit(benchmark::kMillisecond);
   };
+  for (int poses : {300, 1000, 3000, 10000})
+    once(benchmark::RegisterBenchmark(("hand_over/poses:" + std::to_string(poses)).c_str(), hand_over, poses));
   for (int dof : {4, 7}) {
     for (const char* shape : {"loop", "laps", "city"}) {
       const std::string name = std::string("/") + shape + "/dof:" + std::to_string(dof);

@@ -1,5 +1,6 @@
-// Residuals and derivatives of a batch of edges. docs/pose-graph.md holds the derivation; pose_graph_residual.cpp is the
-// same mathematics for one edge, without series, and takes over for residuals beyond the reach of the series here.
+// Residuals and derivatives of a batch of edges. docs/pose-graph.md holds the derivation;
+// pose_graph_residual.cpp is the same mathematics for one edge, without series, and takes over for
+// residuals beyond the reach of the series here.
 
 template <EdgeModel M>
 struct ModelTraits {
@@ -21,7 +22,7 @@ struct EdgeState {
   Quat q_to;
   Vec3 t_to;
   Vec s_to;
-  Quat q_error;       // not for kYaw
+  Quat q_error;  // not for kYaw
   Vec3 e_rotation, e_translation;
   Vec e_scale;
   Quat q_from;
@@ -62,12 +63,12 @@ FASTLOOP_INLINE Vec log_near_one(Vec y, Vec y_sq) {
 }
 
 /// B_2k / (2k)!: the even part of x / (e^x - 1) is 1 + sum of k[i] x^(2i + 2).
-constexpr double kBernoulli[8] = {0.08333333333333333,    -0.001388888888888889,   3.306878306878307e-05,
-                                  -8.267195767195768e-07, 2.08767569878681e-08,    -5.284190138687493e-10,
-                                  1.3382536530684679e-11, -3.3896802963225827e-13};
+constexpr double kBernoulli[8] = {
+    0.08333333333333333,  -0.001388888888888889,  3.306878306878307e-05,  -8.267195767195768e-07,
+    2.08767569878681e-08, -5.284190138687493e-10, 1.3382536530684679e-11, -3.3896802963225827e-13};
 
-/// Even part, without the leading 1, of x / (e^x - 1) at x = hat(phi) + sigma I, as c I + a hat + b hat^2:
-/// with (sigma + i theta)^2k = u + i theta v the recurrences below never divide by theta.
+/// Even part, without the leading 1, of x / (e^x - 1) at x = hat(phi) + sigma I, as c I + a hat + b
+/// hat^2: with (sigma + i theta)^2k = u + i theta v the recurrences below never divide by theta.
 struct SeriesFunction {
   Vec c, a, b;
 };
@@ -149,8 +150,8 @@ FASTLOOP_INLINE EdgeState residual_of(const PassContext& ctx, const std::int32_t
   return s;
 }
 
-/// Lower left block and last column of the inverse right Jacobian: five terms of the series leave a relative error
-/// of 1e-11 at the border of the fast path, which a derivative does not notice.
+/// Lower left block and last column of the inverse right Jacobian: five terms of the series leave a
+/// relative error of 1e-11 at the border of the fast path, which a derivative does not notice.
 FASTLOOP_INLINE void off_diagonal_blocks(const EdgeState& s, Vec theta_sq, Mat3& k21, Vec3& k23) {
   const Vec3 phi = s.e_rotation, rho = s.e_translation;
   const Vec sigma = s.e_scale;
@@ -217,7 +218,9 @@ FASTLOOP_INLINE Derivative derivative_of(const EdgeState& s) {
   return j;
 }
 
-FASTLOOP_INLINE double* lanes_of(Vec& v) { return reinterpret_cast<double*>(&v); }
+FASTLOOP_INLINE double* lanes_of(Vec& v) {
+  return reinterpret_cast<double*>(&v);
+}
 
 /// Replaces one lane by the exact computation.
 template <EdgeModel M>
@@ -305,7 +308,8 @@ FASTLOOP_INLINE Vec inner(const Vec* a, const Vec* b) {
 }
 
 /// Robust weight of every lane, 1 where no kernel applies.
-FASTLOOP_INLINE Vec robust_weight(const PassContext& ctx, const double* robust, Vec squared, Vec* cost) {
+FASTLOOP_INLINE Vec robust_weight(const PassContext& ctx, const double* robust, Vec squared,
+                                  Vec* cost) {
   Vec weight = splat(1.0), rho = squared;
   if (ctx.robust_kernel != 0) {
     for (int l = 0; l < kSimd; ++l) {
@@ -382,7 +386,8 @@ FASTLOOP_INLINE void normal_equations(const Vec (*column)[7], const Vec* weighte
     for (int other = c; other < kD; ++other) {
       Vec h = {};
       for (int r = 0; r < kR; ++r)
-        if (!is_zero<M>(r, other) && (full || !is_zero<M>(r, c))) h += column[other][r] * weighted[r];
+        if (!is_zero<M>(r, other) && (full || !is_zero<M>(r, c)))
+          h += column[other][r] * weighted[r];
       store(hessian + (other * (other + 1) / 2 + c) * kLanes, h);
     }
   }

@@ -1,5 +1,6 @@
-// Dense partial Cholesky of a front, assembly, and the two triangular solves. Matrices are column-major, lower
-// triangle; what lies above the diagonal is scratch and may hold anything finite or not, nothing reads it.
+// Dense partial Cholesky of a front, assembly, and the two triangular solves. Matrices are
+// column-major, lower triangle; what lies above the diagonal is scratch and may hold anything
+// finite or not, nothing reads it.
 
 constexpr int kTileColumns = FASTLOOP_TILE_COLUMNS;
 constexpr int kTileVectors = FASTLOOP_TILE_VECTORS;
@@ -20,8 +21,8 @@ FASTLOOP_INLINE void subtract_product(const double* a, const double* b, std::ptr
 
 /// Columns [j, j + NR) of the update matrix, rows from `i` on, MV vectors.
 template <int MV, int NR>
-FASTLOOP_INLINE void update_tile(const double* panel, std::ptrdiff_t stride, int pivots, int i, int j,
-                                 double* column, std::ptrdiff_t schur_stride) {
+FASTLOOP_INLINE void update_tile(const double* panel, std::ptrdiff_t stride, int pivots, int i,
+                                 int j, double* column, std::ptrdiff_t schur_stride) {
   Vec acc[NR][MV];
   for (int n = 0; n < NR; ++n)
     for (int m = 0; m < MV; ++m) acc[n][m] = load(column + n * schur_stride + m * kSimd);
@@ -45,8 +46,8 @@ static void update_columns(const double* panel, std::ptrdiff_t stride, int pivot
   for (; i < rows; i += kSimd) update_tile<1, NR>(panel, stride, pivots, i, j, c + i, schur_stride);
 }
 
-/// Rows [i, i + MV vectors) of panel columns [j, j + NR): left-looking update, then division by the diagonal block
-/// `l` (NR x NR, inverted diagonal).
+/// Rows [i, i + MV vectors) of panel columns [j, j + NR): left-looking update, then division by the
+/// diagonal block `l` (NR x NR, inverted diagonal).
 template <int MV, int NR>
 FASTLOOP_INLINE void solve_tile(double* panel, std::ptrdiff_t stride, int i, int j,
                                 const double (&l)[kTileColumns][kTileColumns]) {
@@ -67,7 +68,8 @@ FASTLOOP_INLINE void solve_tile(double* panel, std::ptrdiff_t stride, int i, int
     for (int m = 0; m < MV; ++m) store(c + n * stride + m * kSimd, acc[n][m]);
 }
 
-/// Cholesky of the diagonal block at j after the left-looking update; l gets the factor with inverted diagonal.
+/// Cholesky of the diagonal block at j after the left-looking update; l gets the factor with
+/// inverted diagonal.
 template <int NR>
 FASTLOOP_INLINE bool factor_diagonal(const double* panel, std::ptrdiff_t stride, int j,
                                      double (&l)[kTileColumns][kTileColumns]) {
@@ -103,21 +105,30 @@ static bool factor_panel_columns(double* panel, std::ptrdiff_t stride, int rows,
   return true;
 }
 
-/// Calls f.template operator()<NR>(j) over [begin, end) in tiles of kTileColumns and a narrower last one.
+/// Calls f.template operator()<NR>(j) over [begin, end) in tiles of kTileColumns and a narrower
+/// last one.
 template <class F>
 FASTLOOP_INLINE bool for_column_tiles(int begin, int end, F f) {
   int j = begin;
   for (; j + kTileColumns <= end; j += kTileColumns)
     if (!f.template operator()<kTileColumns>(j)) return false;
   switch (end - j) {
-    case 1: return f.template operator()<1>(j);
-    case 2: return f.template operator()<2>(j);
-    case 3: return f.template operator()<3>(j);
-    case 4: return kTileColumns > 4 ? f.template operator()<4>(j) : true;
-    case 5: return kTileColumns > 4 ? f.template operator()<5 <= kTileColumns ? 5 : 1>(j) : true;
-    case 6: return kTileColumns > 4 ? f.template operator()<6 <= kTileColumns ? 6 : 1>(j) : true;
-    case 7: return kTileColumns > 4 ? f.template operator()<7 <= kTileColumns ? 7 : 1>(j) : true;
-    default: return true;
+    case 1:
+      return f.template operator()<1>(j);
+    case 2:
+      return f.template operator()<2>(j);
+    case 3:
+      return f.template operator()<3>(j);
+    case 4:
+      return kTileColumns > 4 ? f.template operator()<4>(j) : true;
+    case 5:
+      return kTileColumns > 4 ? f.template operator() < 5 <= kTileColumns ? 5 : 1 > (j) : true;
+    case 6:
+      return kTileColumns > 4 ? f.template operator() < 6 <= kTileColumns ? 6 : 1 > (j) : true;
+    case 7:
+      return kTileColumns > 4 ? f.template operator() < 7 <= kTileColumns ? 7 : 1 > (j) : true;
+    default:
+      return true;
   }
 }
 
@@ -126,7 +137,8 @@ template <int D>
 static bool eliminate(const FrontView& f) {
   const int pivots = f.pivots * D, columns = (f.pivots + f.below) * D;
   const int rows = f.panel_stride;
-  // With 7 unknowns a tile of one vertex keeps all tiles whole; otherwise tiles run over vertex borders.
+  // With 7 unknowns a tile of one vertex keeps all tiles whole; otherwise tiles run over vertex
+  // borders.
   const bool ok = for_column_tiles(0, pivots, [&]<int NR>(int j) {
     return factor_panel_columns<NR>(f.panel, f.panel_stride, rows, j);
   });
@@ -140,7 +152,18 @@ static bool eliminate(const FrontView& f) {
   return true;
 }
 
-FASTLOOP_INLINE void set_zero(double* p, std::size_t n) { __builtin_memset(p, 0, n * sizeof(double)); }
+FASTLOOP_INLINE void set_zero(double* p, std::size_t n) {
+  __builtin_memset(p, 0, n * sizeof(double));
+}
+
+/// The same for a short column, whose length is a multiple of the vector's: a call would cost more
+/// than the work.
+FASTLOOP_INLINE void set_column_zero(double* p, std::size_t n) {
+  for (std::size_t i = 0; i < n; i += kSimd) {
+    store(p + i, Vec{});
+    asm volatile("");  // keeps the compiler from turning the loop into that call
+  }
+}
 
 /// Address of (row, column) of the front.
 template <int D>
@@ -226,7 +249,8 @@ static void add_damping(const PassContext& ctx, const FrontView& f) {
     const double* metric = ctx.damping + static_cast<std::size_t>(f.first_vertex + p) * 28;
     double* t = f.panel + static_cast<std::ptrdiff_t>(p) * D * f.panel_stride + p * D;
     for (int c = 0; c < D; ++c)
-      for (int r = c; r < D; ++r) t[c * f.panel_stride + r] += ctx.lambda * metric[r * (r + 1) / 2 + c];
+      for (int r = c; r < D; ++r)
+        t[c * f.panel_stride + r] += ctx.lambda * metric[r * (r + 1) / 2 + c];
   }
 }
 
@@ -236,8 +260,8 @@ static bool factor_front(const PassContext& ctx, const FrontView& f, BatchCursor
   set_zero(f.panel, static_cast<std::size_t>(f.panel_stride) * f.pivots * D);
   for (int j = 0; j < f.below * D; ++j) {
     const int row = (f.pivots * D + j) / kSimd * kSimd - f.schur_first_row;
-    set_zero(f.schur + static_cast<std::ptrdiff_t>(j) * f.schur_stride + row,
-             static_cast<std::size_t>(f.schur_stride - row));
+    set_column_zero(f.schur + static_cast<std::ptrdiff_t>(j) * f.schur_stride + row,
+                    static_cast<std::size_t>(f.schur_stride - row));
   }
   for (std::size_t slot = f.edges_begin; slot < f.edges_end; ++slot) {
     const std::ptrdiff_t batch = static_cast<std::ptrdiff_t>(slot / kLanes);
@@ -250,16 +274,20 @@ static bool factor_front(const PassContext& ctx, const FrontView& f, BatchCursor
   return eliminate<D>(f);
 }
 
-/// Asks for memory ahead of the triangular solves: panels lie in the order in which they are read, but the hardware
-/// loses track at every page and when columns are taken in falling order. Addresses outside the buffer do no harm.
-FASTLOOP_INLINE void prefetch_columns(const double* column, std::ptrdiff_t doubles, std::ptrdiff_t ahead) {
+/// Asks for memory ahead of the triangular solves: panels lie in the order in which they are read,
+/// but the hardware loses track at every page and when columns are taken in falling order.
+/// Addresses outside the buffer do no harm.
+FASTLOOP_INLINE void prefetch_columns(const double* column, std::ptrdiff_t doubles,
+                                      std::ptrdiff_t ahead) {
   const char* p = reinterpret_cast<const char*>(column + ahead);
-  for (std::ptrdiff_t i = 0; i < doubles; i += kRowAlign) __builtin_prefetch(p + i * sizeof(double), 0, 2);
+  for (std::ptrdiff_t i = 0; i < doubles; i += kRowAlign)
+    __builtin_prefetch(p + i * sizeof(double), 0, 2);
 }
 constexpr std::ptrdiff_t kPrefetchDoubles = 1024;
 
 template <EdgeModel M>
-static void forward_front(const PassContext& ctx, const FrontView& f, BatchCursor& cursor, double* b) {
+static void forward_front(const PassContext& ctx, const FrontView& f, BatchCursor& cursor,
+                          double* b) {
   constexpr int D = ModelTraits<M>::kTangent;
   const int pivots = f.pivots * D, rows = (f.pivots + f.below) * D;
   set_zero(b, static_cast<std::size_t>(rows));
@@ -270,7 +298,8 @@ static void forward_front(const PassContext& ctx, const FrontView& f, BatchCurso
     const std::int32_t* position = f.edge_position + 2 * slot;
     for (int end = 0; end < 2; ++end) {
       if (position[end] < 0) continue;
-      for (int c = 0; c < D; ++c) b[position[end] * D + c] += end == 0 ? g[c * kLanes] : -g[c * kLanes];
+      for (int c = 0; c < D; ++c)
+        b[position[end] * D + c] += end == 0 ? g[c * kLanes] : -g[c * kLanes];
     }
   }
   for (int k = 0; k < f.num_children; ++k) {
@@ -291,7 +320,8 @@ static void forward_front(const PassContext& ctx, const FrontView& f, BatchCurso
   for (int j = 0; j < f.below * D; ++j) f.rhs[j] = b[pivots + j];
 }
 
-/// Columns [j, j + NR): x_j = (y_j - sum over rows below of L x) / L_jj, given x of all rows below the tile.
+/// Columns [j, j + NR): x_j = (y_j - sum over rows below of L x) / L_jj, given x of all rows below
+/// the tile.
 template <int NR>
 FASTLOOP_INLINE void backward_columns(const FrontView& f, int rows, int j, double* x) {
   const double* l = f.panel + static_cast<std::ptrdiff_t>(j) * f.panel_stride;
@@ -325,8 +355,8 @@ static double backward_front(const FrontView& f, double* x) {
   }
   int j = f.pivots * D;
   for (; j >= 4; j -= 4) {
-    prefetch_columns(f.panel + static_cast<std::ptrdiff_t>(j - 4) * f.panel_stride, 4 * f.panel_stride,
-                     -kPrefetchDoubles);
+    prefetch_columns(f.panel + static_cast<std::ptrdiff_t>(j - 4) * f.panel_stride,
+                     4 * f.panel_stride, -kPrefetchDoubles);
     backward_columns<4>(f, rows, j - 4, x);
   }
   for (; j >= 1; --j) backward_columns<1>(f, rows, j - 1, x);
@@ -335,11 +365,12 @@ static double backward_front(const FrontView& f, double* x) {
 
 template <EdgeModel M>
 static ModelKernels kernels_of() {
-  return {factor_front<M>, forward_front<M>, backward_front<M>, cost_of_batches<M>, linearize_full<M>};
+  return {factor_front<M>, forward_front<M>, backward_front<M>, cost_of_batches<M>,
+          linearize_full<M>};
 }
 
 static KernelSet make_kernel_set(const char* name) {
   return {name,
-          {kernels_of<EdgeModel::kYaw>(), kernels_of<EdgeModel::kSe3>(), kernels_of<EdgeModel::kSim3>(),
-           kernels_of<EdgeModel::kSim3FixedScale>()}};
+          {kernels_of<EdgeModel::kYaw>(), kernels_of<EdgeModel::kSe3>(),
+           kernels_of<EdgeModel::kSim3>(), kernels_of<EdgeModel::kSim3FixedScale>()}};
 }

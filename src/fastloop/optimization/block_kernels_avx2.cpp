@@ -8,11 +8,12 @@
 
 namespace fastloop::optimization::block {
 namespace {
+// Each file uses what the one before it defines.
+// clang-format off
 #include "fastloop/optimization/block_simd.inl"
-
 #include "fastloop/optimization/block_edges.inl"
-
 #include "fastloop/optimization/block_fronts.inl"
+// clang-format on
 }  // namespace
 
 const KernelSet& avx2_kernels() {

@@ -26,8 +26,9 @@ constexpr Model kModels[] = {{PoseGraphKind::kYaw, false},
                              {PoseGraphKind::kSim3, false},
                              {PoseGraphKind::kSim3, true}};
 
-/// Every instruction set finds the minimum that Ceres finds with the scalar residuals and derivatives, from near
-/// (power series) and far (exact fallback) starts, with diagonal and full information.
+/// Every instruction set finds the minimum that Ceres finds with the scalar residuals and
+/// derivatives, from near (power series) and far (exact fallback) starts, with diagonal and full
+/// information.
 TEST(BlockKernels, EverySetSolvesEveryModel) {
   for (const Model& model : kModels) {
     for (bool full : {false, true}) {
@@ -53,7 +54,8 @@ TEST(BlockKernels, EverySetSolvesEveryModel) {
           PoseGraphPlan plan;
           plan.impl().use_kernels(*set);
           const PoseGraphResult r = solve_pose_graph(p, options, &plan);
-          EXPECT_LE(r.final_cost, expected * (1 + 1e-8)) << set->name << " displacement " << displacement;
+          EXPECT_LE(r.final_cost, expected * (1 + 1e-8))
+              << set->name << " displacement " << displacement;
           EXPECT_NEAR(r.final_cost, pose_graph_cost(p), 1e-10 * r.final_cost) << set->name;
           if (displacement < 0.1) {
             EXPECT_LT(largest_difference(p.poses, by_ceres.poses), 1e-4) << set->name;
@@ -76,11 +78,13 @@ TEST(BlockKernels, LinearizationIsThatOfOneEdgeAtATime) {
       std::vector<EdgeLinearization> expected;
       std::vector<Vector7d> weights;
       const auto push_pose = [&](const Sim3& x) {
-        poses.insert(poses.end(), {x.rotation.x(), x.rotation.y(), x.rotation.z(), x.rotation.w(),
-                                   x.translation.x(), x.translation.y(), x.translation.z(), x.scale});
+        poses.insert(poses.end(),
+                     {x.rotation.x(), x.rotation.y(), x.rotation.z(), x.rotation.w(),
+                      x.translation.x(), x.translation.y(), x.translation.z(), x.scale});
       };
       for (int lane = 0; lane < block::kLanes; ++lane) {
-        const Sim3 a = testing::random_pose(random, model.kind, 5), b = testing::random_pose(random, model.kind, 5);
+        const Sim3 a = testing::random_pose(random, model.kind, 5),
+                   b = testing::random_pose(random, model.kind, 5);
         Vector7d noise = random.tangent(error, error, 0.5 * error);
         if (model.kind != PoseGraphKind::kSim3) noise[6] = 0;
         const Sim3 z = a.inverse() * b * Sim3::exp(noise);
@@ -90,12 +94,14 @@ TEST(BlockKernels, LinearizationIsThatOfOneEdgeAtATime) {
         to.push_back(2 * lane + 1);
         Sim3 stored = z.inverse();
         if (model.kind == PoseGraphKind::kYaw) stored.translation = z.translation;
-        const double fields[8] = {stored.rotation.x(),    stored.rotation.y(),    stored.rotation.z(),
-                                  stored.rotation.w(),    stored.translation.x(), stored.translation.y(),
+        const double fields[8] = {stored.rotation.x(),    stored.rotation.y(),
+                                  stored.rotation.z(),    stored.rotation.w(),
+                                  stored.translation.x(), stored.translation.y(),
                                   stored.translation.z(), stored.scale};
         for (int f = 0; f < 8; ++f) measurement[f * block::kLanes + lane] = fields[f];
         Vector7d w = Vector7d::Zero();
-        for (int r = 0; r < size; ++r) information[r * block::kLanes + lane] = w[r] = 0.5 + random.uniform();
+        for (int r = 0; r < size; ++r)
+          information[r * block::kLanes + lane] = w[r] = 0.5 + random.uniform();
         weights.push_back(w);
         expected.push_back(linearize_edge(model.kind, a, b, z));
       }
@@ -103,9 +109,10 @@ TEST(BlockKernels, LinearizationIsThatOfOneEdgeAtATime) {
       const std::size_t offset = 0;
       block::PassContext context;
       context.poses = poses.data();
-      context.edges = {from.data(), to.data(), measurement.data(), &full, &offset, information.data(), robust.data()};
-      context.exact_edge = [](block::EdgeModel m, const double* x, const double* y, const double* packed, double* e,
-                              double* j) {
+      context.edges = {from.data(), to.data(),          measurement.data(), &full,
+                       &offset,     information.data(), robust.data()};
+      context.exact_edge = [](block::EdgeModel m, const double* x, const double* y,
+                              const double* packed, double* e, double* j) {
         const auto pose = [](const double* p) {
           return Sim3(Eigen::Quaterniond(p[3], p[0], p[1], p[2]), Vector3d(p[4], p[5], p[6]), p[7]);
         };
@@ -117,10 +124,10 @@ TEST(BlockKernels, LinearizationIsThatOfOneEdgeAtATime) {
         Eigen::Map<Vector7d>(e, 7) = l.residual;
         Eigen::Map<Matrix7d>(j, 7, 7) = l.jacobian_to;
       };
-      const int index = model.kind == PoseGraphKind::kYaw    ? 0
-                        : model.kind == PoseGraphKind::kSe3  ? 1
-                        : model.fixed_scale                  ? 3
-                                                             : 2;
+      const int index = model.kind == PoseGraphKind::kYaw   ? 0
+                        : model.kind == PoseGraphKind::kSe3 ? 1
+                        : model.fixed_scale                 ? 3
+                                                            : 2;
       for (const block::KernelSet* set : block::usable_kernels()) {
         block::BatchCursor cursor;
         set->model[index].linearize(context, cursor, 0);
@@ -130,31 +137,36 @@ TEST(BlockKernels, LinearizationIsThatOfOneEdgeAtATime) {
           const Matrix7d h = j.transpose() * weights[lane].asDiagonal() * j;
           const Vector7d g = j.transpose() * weights[lane].asDiagonal() * expected[lane].residual;
           for (int r = 0; r < d; ++r) {
-            EXPECT_NEAR(cursor.gradient[r * block::kLanes + lane], g[r], 1e-9 * (1 + g.norm())) << set->name;
+            EXPECT_NEAR(cursor.gradient[r * block::kLanes + lane], g[r], 1e-9 * (1 + g.norm()))
+                << set->name;
             for (int c = 0; c <= r; ++c)
-              EXPECT_NEAR(cursor.hessian[(r * (r + 1) / 2 + c) * block::kLanes + lane], h(r, c), 1e-9 * (1 + h.norm()))
+              EXPECT_NEAR(cursor.hessian[(r * (r + 1) / 2 + c) * block::kLanes + lane], h(r, c),
+                          1e-9 * (1 + h.norm()))
                   << set->name << " error " << error;
           }
           cost += expected[lane].residual.dot(weights[lane].asDiagonal() * expected[lane].residual);
         }
         std::vector<double> squared(block::kLanes);
-        EXPECT_NEAR(set->model[index].cost(context, 0, 1, squared.data()), cost, 1e-12 * (1 + cost));
+        EXPECT_NEAR(set->model[index].cost(context, 0, 1, squared.data()), cost,
+                    1e-12 * (1 + cost));
       }
     }
   }
 }
 
-/// The symbolic structure holds every entry of a dense elimination, and tasks cover all fronts in a valid order.
+/// The symbolic structure holds every entry of a dense elimination, and tasks cover all fronts in a
+/// valid order.
 TEST(SymbolicPlan, CoversTheFillOfADenseElimination) {
   testing::Random random(6);
   for (int n : {1, 2, 7, 30, 120}) {
     std::vector<int> ends;
-    for (int i = 1; i < n; ++i) ends.insert(ends.end(), {i, std::max(0, i - 1 - random.integer(3))});
+    for (int i = 1; i < n; ++i)
+      ends.insert(ends.end(), {i, std::max(0, i - 1 - random.integer(3))});
     for (int k = 0; k < n / 4; ++k) ends.insert(ends.end(), {random.integer(n), random.integer(n)});
     block::Graph graph;
     block::build_graph(n, ends, graph);
     block::SymbolicPlan plan;
-    block::build_symbolic_plan(graph, block::fill_reducing_order(graph), 6, plan);
+    block::build_symbolic_plan(graph, block::minimum_degree_order(graph), 6, plan);
     // Dense boolean elimination in the same order.
     std::vector<std::vector<char>> filled(n, std::vector<char>(n, 0));
     for (int v = 0; v < n; ++v)
@@ -179,7 +191,8 @@ TEST(SymbolicPlan, CoversTheFillOfADenseElimination) {
         const block::Front& p = plan.fronts[f.parent];
         for (int r = 0; r < f.below; ++r) {
           const int at = plan.position_in_parent[f.rows + r];
-          EXPECT_EQ(plan.rows[f.rows + r], at < p.pivots ? p.first + at : plan.rows[p.rows + at - p.pivots]);
+          EXPECT_EQ(plan.rows[f.rows + r],
+                    at < p.pivots ? p.first + at : plan.rows[p.rows + at - p.pivots]);
         }
       }
     }

@@ -52,8 +52,8 @@ void put_information(const PoseGraphInformation& w, bool full, int size, double*
   }
 }
 
-void exact_edge(block::EdgeModel model, const double* from, const double* to, const double* measurement,
-                double* residual, double* jacobian) {
+void exact_edge(block::EdgeModel model, const double* from, const double* to,
+                const double* measurement, double* residual, double* jacobian) {
   const PoseGraphKind kind = kind_of(model);
   Sim3 z = pose_from(measurement);
   const Vector3d stored_translation = z.translation;
@@ -72,8 +72,9 @@ void exact_robust(int kernel, double width, double squared, double* cost, double
 
 }  // namespace
 
-/// Where the information of every batch lies. A batch stores diagonals only when all its matrices are diagonal, and
-/// batches whose edges all have the same matrix share one copy, which halves what the passes over edges read.
+/// Where the information of every batch lies. A batch stores diagonals only when all its matrices
+/// are diagonal, and batches whose edges all have the same matrix share one copy, which halves what
+/// the passes over edges read.
 void PoseGraphPlan::Impl::choose_information_layout(const PoseGraphProblem& problem, bool share) {
   const int size = residual_size(problem.kind);
   const std::size_t matrices = problem.information.size();
@@ -112,20 +113,24 @@ void PoseGraphPlan::Impl::choose_information_layout(const PoseGraphProblem& prob
   information_.resize(offset);
   for (std::size_t k = 0; k < shared_offset_.size(); ++k)
     for (int lane = 0; lane < block::kLanes; ++lane)
-      put_information(problem.information[k], full_matrix_[k], size, information_.data() + shared_offset_[k] + lane);
+      put_information(problem.information[k], full_matrix_[k], size,
+                      information_.data() + shared_offset_[k] + lane);
 }
 
-void PoseGraphPlan::Impl::load_edge(const PoseGraphProblem& problem, std::size_t slot, bool robust) {
+void PoseGraphPlan::Impl::load_edge(const PoseGraphProblem& problem, std::size_t slot,
+                                    bool robust) {
   const std::size_t batch = slot / block::kLanes, lane = slot % block::kLanes;
   const int size = residual_size(problem.kind);
   double* measurement = measurement_.data() + batch * 8 * block::kLanes + lane;
-  const PoseGraphEdge* edge = edge_of_slot_[slot] < 0 ? nullptr : &problem.edges[edge_of_slot_[slot]];
+  const PoseGraphEdge* edge =
+      edge_of_slot_[slot] < 0 ? nullptr : &problem.edges[edge_of_slot_[slot]];
   const std::array<double, 8> packed =
       packed_measurement(problem.kind, edge ? edge->T_from_to : Sim3());
   for (int f = 0; f < 8; ++f) measurement[f * block::kLanes] = packed[f];
   if (own_information_[batch]) {
     double* information = information_.data() + information_offset_[batch] + lane;
-    put_information(edge ? problem.information[edge->information] : PoseGraphInformation(PoseGraphInformation::Zero()),
+    put_information(edge ? problem.information[edge->information]
+                         : PoseGraphInformation(PoseGraphInformation::Zero()),
                     full_information_[batch] != 0, size, information);
   }
   robust_[slot] = edge && (robust || edge->switchable) ? 1.0 : 0.0;
@@ -142,8 +147,8 @@ void PoseGraphPlan::Impl::load(const PoseGraphProblem& problem, const PoseGraphO
   // Rejected edges lose their information, which must then be their own.
   choose_information_layout(problem, !std::isfinite(options.rejection_gate));
 
-  // The world frame is moved to the middle of the graph: derivatives contain positions, and large coordinates
-  // (geographic ones, say) would cost digits.
+  // The world frame is moved to the middle of the graph: derivatives contain positions, and large
+  // coordinates (geographic ones, say) would cost digits.
   origin_.setZero();
   for (const Sim3& pose : problem.poses) origin_ += pose.translation;
   if (n > 0) origin_ /= static_cast<double>(n);
@@ -164,9 +169,12 @@ void PoseGraphPlan::Impl::load(const PoseGraphProblem& problem, const PoseGraphO
 
   context_ = block::PassContext();
   context_.poses = poses_.data();
-  context_.edges = {from_.data(),           to_.data(),
-                    measurement_.data(),    full_information_.data(),
-                    information_offset_.data(), information_.data(),
+  context_.edges = {from_.data(),
+                    to_.data(),
+                    measurement_.data(),
+                    full_information_.data(),
+                    information_offset_.data(),
+                    information_.data(),
                     robust_.data()};
   context_.robust_kernel = static_cast<int>(options.robust_kernel);
   context_.robust_width = options.robust_width;
@@ -182,7 +190,8 @@ double PoseGraphPlan::Impl::damping_scale(const PoseGraphProblem& problem) const
   for (const PoseGraphInformation& w : problem.information)
     largest = std::max(largest, w.diagonal().head(size).maxCoeff());
   const double edges_per_vertex =
-      2.0 * static_cast<double>(problem.edges.size()) / static_cast<double>(std::max<std::size_t>(1, problem.poses.size()));
+      2.0 * static_cast<double>(problem.edges.size()) /
+      static_cast<double>(std::max<std::size_t>(1, problem.poses.size()));
   return std::max(largest * edges_per_vertex, 1e-12);
 }
 
@@ -203,7 +212,8 @@ int PoseGraphPlan::Impl::reject_outliers(const PoseGraphProblem& problem, double
   const int size = residual_size(problem.kind);
   evaluate_cost(poses_.data(), squared_.data());
   for (std::size_t s = 0; s < edge_of_slot_.size(); ++s) {
-    if (edge_of_slot_[s] < 0 || !problem.edges[edge_of_slot_[s]].switchable || squared_[s] <= gate) continue;
+    if (edge_of_slot_[s] < 0 || !problem.edges[edge_of_slot_[s]].switchable || squared_[s] <= gate)
+      continue;
     result.rejected.push_back(static_cast<int>(edge_of_slot_[s]));
     const std::size_t batch = s / block::kLanes;
     const int entries = full_information_[batch] ? size * (size + 1) / 2 : size;
@@ -218,7 +228,8 @@ double PoseGraphPlan::Impl::evaluate_cost(const double* poses, double* squared) 
   block::PassContext context = context_;
   context.poses = poses;
   passes_.for_chunks(chunk_cost_.size(), [&](std::size_t chunk) {
-    const std::size_t begin = chunk * kChunkBatches, end = std::min(num_batches_, begin + kChunkBatches);
+    const std::size_t begin = chunk * kChunkBatches,
+                      end = std::min(num_batches_, begin + kChunkBatches);
     chunk_cost_[chunk] = kernels_.cost(context, begin, end, squared);
   });
   double total = 0;

@@ -27,7 +27,8 @@ void Buffer::resize(std::size_t size) {
   void* p = std::aligned_alloc(alignment, bytes);
   if (p == nullptr) throw std::bad_alloc();
 #if defined(__linux__)
-  // Fresh memory is touched front by front; large pages make that several times cheaper. Only a hint.
+  // Fresh memory is touched front by front; large pages make that several times cheaper. Only a
+  // hint.
   if (alignment == kHugePage) madvise(p, bytes, MADV_HUGEPAGE);
 #endif
   data_.reset(static_cast<double*>(p));
@@ -127,7 +128,8 @@ void Passes::for_chunks(std::size_t chunks, IndexedBody body) {
     for (std::size_t c = 0; c < chunks; ++c) body(c);
     return;
   }
-  threads_->arena.execute([&] { tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) { body(c); }); });
+  threads_->arena.execute(
+      [&] { tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) { body(c); }); });
 }
 
 }  // namespace fastloop::optimization::block

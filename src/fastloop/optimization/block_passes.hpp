@@ -30,9 +30,10 @@ class Buffer {
 class IndexedBody {
  public:
   template <class F>
-    requires(!std::is_same_v<std::remove_cvref_t<F>, IndexedBody>)
-  IndexedBody(F&& f)  // NOLINT: implicit on purpose, a parameter type only
-      : object_(const_cast<void*>(static_cast<const void*>(&f))), call_([](void* object, std::size_t i) {
+  requires(!std::is_same_v<std::remove_cvref_t<F>, IndexedBody>)
+      IndexedBody(F&& f)  // NOLINT: implicit on purpose, a parameter type only
+      : object_(const_cast<void*>(static_cast<const void*>(&f))),
+        call_([](void* object, std::size_t i) {
           (*static_cast<std::remove_reference_t<F>*>(object))(i);
         }) {}
   void operator()(std::size_t i) const { call_(object_, i); }
@@ -42,8 +43,9 @@ class IndexedBody {
   void (*call_)(void*, std::size_t);
 };
 
-/// Runs passes over the task tree and over ranges, on the calling thread or on an arena of oneTBB. What is computed
-/// does not depend on the number of threads: tasks own their memory, and sums are taken over fixed ranges.
+/// Runs passes over the task tree and over ranges, on the calling thread or on an arena of oneTBB.
+/// What is computed does not depend on the number of threads: tasks own their memory, and sums are
+/// taken over fixed ranges.
 class Passes {
  public:
   Passes();

@@ -25,8 +25,8 @@ std::vector<int> elimination_tree(const Graph& graph, const std::vector<int>& or
   return parent;
 }
 
-/// Entries below the diagonal of every column of the factor: row i has entries on the paths from its neighbours
-/// up to i.
+/// Entries below the diagonal of every column of the factor: row i has entries on the paths from
+/// its neighbours up to i.
 std::vector<int> column_counts(const Graph& graph, const std::vector<int>& order,
                                const std::vector<int>& position, const std::vector<int>& parent) {
   const int n = graph.size();
@@ -44,7 +44,8 @@ std::vector<int> column_counts(const Graph& graph, const std::vector<int>& order
   return count;
 }
 
-/// Postorder in which the child with the longest column comes last: it is the one that may join its parent's front.
+/// Postorder in which the child with the longest column comes last: it is the one that may join its
+/// parent's front.
 std::vector<int> postorder(const std::vector<int>& parent, const std::vector<int>& count) {
   const int n = static_cast<int>(parent.size());
   std::vector<int> by_count(n), head(n, -1), next(n, -1), result, stack, begin(n + 1, 0);
@@ -83,8 +84,8 @@ struct Candidate {
 /// May the child join the parent's front? A few explicit zeros buy fewer, larger fronts.
 bool worth_merging(const Candidate& child, const Candidate& parent, int block_size, double& zeros) {
   const int width = child.end - child.begin + parent.end - parent.begin;
-  const double new_zeros =
-      static_cast<double>(child.end - child.begin) * (parent.end - parent.begin + parent.rows - child.rows);
+  const double new_zeros = static_cast<double>(child.end - child.begin) *
+                           (parent.end - parent.begin + parent.rows - child.rows);
   zeros = child.zeros + parent.zeros + new_zeros;
   const double total = 0.5 * width * (width + 1) + static_cast<double>(width) * parent.rows;
   const int scalars = width * block_size;
@@ -93,7 +94,8 @@ bool worth_merging(const Candidate& child, const Candidate& parent, int block_si
          (scalars <= 256 && share < 0.10);
 }
 
-/// Supernodes: columns whose structure is that of the next column plus that column, then relaxed merging.
+/// Supernodes: columns whose structure is that of the next column plus that column, then relaxed
+/// merging.
 std::vector<Candidate> find_fronts(const std::vector<int>& parent, const std::vector<int>& count,
                                    int block_size) {
   const int n = static_cast<int>(parent.size());
@@ -158,7 +160,8 @@ void find_rows(const Graph& graph, const std::vector<int>& parent, SymbolicPlan&
     };
     for (int j = f.first; j < end; ++j) {
       const int v = plan.order[j];
-      for (int e = graph.begin[v]; e < graph.begin[v + 1]; ++e) add(plan.position[graph.neighbour[e]]);
+      for (int e = graph.begin[v]; e < graph.begin[v + 1]; ++e)
+        add(plan.position[graph.neighbour[e]]);
     }
     for (int c = 0; c < f.num_children; ++c) {
       const Front& child = plan.fronts[plan.children[f.children + c]];
@@ -207,9 +210,9 @@ double front_work(const Front& f, int block_size) {
   return w * m * m + 6 * m * m + 500;
 }
 
-/// Cuts the tree of fronts into tasks. A subtree with little work is one task, or part of its parent's task when tiny.
-/// A front above joins the task of its only feeding child, so that a chain is one task; where branches meet, a new
-/// task starts.
+/// Cuts the tree of fronts into tasks. A subtree with little work is one task, or part of its
+/// parent's task when tiny. A front above joins the task of its only feeding child, so that a chain
+/// is one task; where branches meet, a new task starts.
 void build_tasks(SymbolicPlan& plan, int block_size) {
   const int n = static_cast<int>(plan.fronts.size());
   std::vector<double> subtree(n, 0);
@@ -311,7 +314,8 @@ void assign_memory(SymbolicPlan& plan, int block_size) {
       f.schur_offset = plan.schur_size + slots.allocate(schur_doubles(f, block_size));
       for (int c = 0; c < f.num_children; ++c) {
         const Front& child = plan.fronts[plan.children[f.children + c]];
-        if (child.task == f.task && child.below > 0) slots.release(child.schur_offset - plan.schur_size);
+        if (child.task == f.task && child.below > 0)
+          slots.release(child.schur_offset - plan.schur_size);
       }
     }
     plan.schur_size += slots.peak();
@@ -320,7 +324,8 @@ void assign_memory(SymbolicPlan& plan, int block_size) {
 
 }  // namespace
 
-void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size, SymbolicPlan& plan) {
+void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size,
+                         SymbolicPlan& plan) {
   const int n = graph.size();
   plan.order = std::move(order);
   plan.position.resize(n);

@@ -9,13 +9,15 @@
 
 namespace fastloop::optimization::block {
 
-/// Supernode of the elimination: `pivots` block columns that are eliminated together, and the rows below them.
+/// Supernode of the elimination: `pivots` block columns that are eliminated together, and the rows
+/// below them.
 struct Front {
-  int first = 0, pivots = 0, below = 0;  ///< block columns [first, first + pivots) in elimination order
+  int first = 0, pivots = 0,
+      below = 0;  ///< block columns [first, first + pivots) in elimination order
   int parent = -1;
   int task = 0;
-  std::size_t rows = 0;      ///< into SymbolicPlan::rows and position_in_parent, `below` entries
-  std::size_t runs = 0;      ///< into SymbolicPlan::runs
+  std::size_t rows = 0;  ///< into SymbolicPlan::rows and position_in_parent, `below` entries
+  std::size_t runs = 0;  ///< into SymbolicPlan::runs
   int num_runs = 0;
   std::size_t children = 0;  ///< into SymbolicPlan::children
   int num_children = 0;
@@ -23,8 +25,8 @@ struct Front {
   std::size_t panel_offset = 0, schur_offset = 0, rhs_offset = 0;  ///< doubles
 };
 
-/// A set of fronts processed by one thread in this order. Tasks form a tree: a task starts when all tasks that feed
-/// it have ended.
+/// A set of fronts processed by one thread in this order. Tasks form a tree: a task starts when all
+/// tasks that feed it have ended.
 struct Task {
   std::size_t begin = 0, end = 0;  ///< into SymbolicPlan::task_fronts
   int parent = -1;
@@ -41,18 +43,19 @@ struct SymbolicPlan {
   std::vector<std::int32_t> position_in_parent;
   std::vector<Run> runs;
   std::vector<int> children;
-  std::vector<Task> tasks;    ///< feeding tasks before the task they feed
+  std::vector<Task> tasks;  ///< feeding tasks before the task they feed
   std::vector<int> task_fronts;
   std::size_t panel_size = 0, schur_size = 0, rhs_size = 0;  ///< doubles
   int max_front_blocks = 0;
-  double work = 0;            ///< multiplications and additions of one factorisation, estimated
+  double work = 0;  ///< multiplications and additions of one factorisation, estimated
 };
 
 /// The kernels this machine runs, the widest last.
 std::vector<const KernelSet*> usable_kernels();
 
-/// Elimination of `graph` in the given order (which becomes a postorder of the elimination tree), for blocks of
-/// `block_size` unknowns.
-void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size, SymbolicPlan& plan);
+/// Elimination of `graph` in the given order (which becomes a postorder of the elimination tree),
+/// for blocks of `block_size` unknowns.
+void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size,
+                         SymbolicPlan& plan);
 
 }  // namespace fastloop::optimization::block

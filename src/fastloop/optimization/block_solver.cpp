@@ -11,7 +11,8 @@ namespace fastloop::optimization {
 std::vector<const block::KernelSet*> block::usable_kernels() {
   std::vector<const KernelSet*> sets{&portable_kernels()};
 #if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) sets.push_back(&avx2_kernels());
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"))
+    sets.push_back(&avx2_kernels());
   if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
       __builtin_cpu_supports("avx512vl"))
     sets.push_back(&avx512_kernels());
@@ -25,11 +26,12 @@ PoseGraphPlan::Impl::~Impl() = default;
 namespace {
 
 constexpr std::size_t kChunkVertices = 512;
-constexpr int kMaxRejections = 12;      // in a row
-constexpr int kMaxRefinements = 6;      // steps with an old factor
+constexpr int kMaxRejections = 12;       // in a row
+constexpr int kMaxRefinements = 6;       // steps with an old factor
 constexpr double kWorthRefining = 0.05;  // contraction of the expected decrease per step
-// Share of the cost that the quadratic model may have failed to foresee if refining is to be tried, and the same for
-// factors beyond the caches, where two substitutions cost nearly as much as a factorisation.
+// Share of the cost that the quadratic model may have failed to foresee if refining is to be tried,
+// and the same for factors beyond the caches, where two substitutions cost nearly as much as a
+// factorisation.
 constexpr double kMaxExcess = 0.3, kMaxExcessLarge = 0.05;
 constexpr std::size_t kLargeFactor = std::size_t{1} << 23;  // doubles
 
@@ -76,7 +78,8 @@ double PoseGraphPlan::Impl::measure_linearization() {
 
 void PoseGraphPlan::Impl::forward() {
   context_.poses = poses_.data();
-  const std::size_t scratch_size = static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
+  const std::size_t scratch_size =
+      static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
   passes_.bottom_up(symbolic_, [&](std::size_t task) {
     const block::Task& t = symbolic_.tasks[task];
     block::BatchCursor cursor;
@@ -87,7 +90,8 @@ void PoseGraphPlan::Impl::forward() {
 }
 
 double PoseGraphPlan::Impl::backward() {
-  const std::size_t scratch_size = static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
+  const std::size_t scratch_size =
+      static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
   const int d = block_size_;
   passes_.top_down(symbolic_, [&](std::size_t task) {
     const block::Task& t = symbolic_.tasks[task];
@@ -97,7 +101,8 @@ double PoseGraphPlan::Impl::backward() {
       const block::Front& f = symbolic_.fronts[k];
       double* below = x + f.pivots * d;
       for (int r = 0; r < f.below; ++r) {
-        const double* from = step_.data() + static_cast<std::size_t>(symbolic_.rows[f.rows + r]) * d;
+        const double* from =
+            step_.data() + static_cast<std::size_t>(symbolic_.rows[f.rows + r]) * d;
         for (int c = 0; c < d; ++c) *below++ = from[c];
       }
       front_norm_[k] = kernels_.backward(fronts_[k], x);
@@ -163,15 +168,16 @@ void PoseGraphPlan::Impl::move_poses() {
   });
 }
 
-/// Metric of the damping: squared length of a step seen in the vertex's own frame, where it does not depend on where
-/// the world's origin is.
+/// Metric of the damping: squared length of a step seen in the vertex's own frame, where it does
+/// not depend on where the world's origin is.
 void PoseGraphPlan::Impl::build_damping() {
   damping_.resize(free_pose_.size() * 28);
   const int d = block_size_;
   for (std::size_t k = 0; k < free_pose_.size(); ++k) {
     const double* p = poses_.data() + 8 * static_cast<std::size_t>(free_pose_[symbolic_.order[k]]);
     const Vector3d t(p[4], p[5], p[6]);
-    Matrix7d j = Matrix7d::Identity();  // rows: rotation, translation, log scale in the vertex frame
+    Matrix7d j =
+        Matrix7d::Identity();  // rows: rotation, translation, log scale in the vertex frame
     if (kind_ == PoseGraphKind::kYaw) {
       j.setZero();
       j(2, 0) = 1;
@@ -201,12 +207,14 @@ bool PoseGraphPlan::Impl::try_step(double& cost, PoseGraphResult& result) {
   return true;
 }
 
-/// Steps with the gradient at the new poses and the factor of the old ones. Near the minimum the expected decrease
-/// shrinks by a constant factor per step at a fraction of the price of a factorisation. `foreseen` is the cost that the
-/// quadratic model expected after the step; where the true cost lies far above it, the old factor says little about
-/// the new place. True: converged.
-bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease, double foreseen,
-                                                 double& cost, PoseGraphResult& result) {
+/// Steps with the gradient at the new poses and the factor of the old ones. Near the minimum the
+/// expected decrease shrinks by a constant factor per step at a fraction of the price of a
+/// factorisation. `foreseen` is the cost that the quadratic model expected after the step; where
+/// the true cost lies far above it, the old factor says little about the new place. True:
+/// converged.
+bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease,
+                                                 double foreseen, double& cost,
+                                                 PoseGraphResult& result) {
   const double max_excess = symbolic_.panel_size < kLargeFactor ? kMaxExcess : kMaxExcessLarge;
   if (cost - foreseen > max_excess * cost) return false;
   for (int k = 0; k < kMaxRefinements; ++k) {
@@ -246,7 +254,8 @@ void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResu
     const bool positive_definite = factor(lambda);
     ++result.factorizations;
     const double factor_ms = watch.elapsed_ms();
-    const double linearize_ms = options.split_times ? std::min(factor_ms, measure_linearization()) : 0;
+    const double linearize_ms =
+        options.split_times ? std::min(factor_ms, measure_linearization()) : 0;
     result.times.linearize_ms += linearize_ms;
     result.times.factor_ms += factor_ms - linearize_ms;
     bool accepted = false;
@@ -299,7 +308,8 @@ void PoseGraphPlan::Impl::solve(PoseGraphProblem& problem, const PoseGraphOption
   kernels_ = kernel_set_->model[static_cast<int>(model_)];
   load(problem, options);
   iterate(options, result);
-  if (std::isfinite(options.rejection_gate) && reject_outliers(problem, options.rejection_gate, result) > 0) {
+  if (std::isfinite(options.rejection_gate) &&
+      reject_outliers(problem, options.rejection_gate, result) > 0) {
     context_.robust_kernel = 0;
     iterate(options, result);
   }

@@ -8,8 +8,8 @@
 
 namespace fastloop::optimization {
 
-/// The block solver's state: structure that is kept between calls and work memory. Defined here so that the plan, the
-/// loading of a problem and the iteration can live in files of their own.
+/// The block solver's state: structure that is kept between calls and work memory. Defined here so
+/// that the plan, the loading of a problem and the iteration can live in files of their own.
 class PoseGraphPlan::Impl {
  public:
   Impl();
@@ -78,7 +78,8 @@ class PoseGraphPlan::Impl {
   std::vector<std::uint8_t> full_information_;  // [batches]
   std::vector<std::uint8_t> full_matrix_;       // [information matrices]
   std::vector<std::uint8_t> own_information_;   // [batches] not shared with other batches
-  std::vector<std::size_t> information_offset_, shared_offset_;  // [batches], [information matrices]
+  std::vector<std::size_t> information_offset_,
+      shared_offset_;  // [batches], [information matrices]
   block::Buffer measurement_, information_, robust_;
   Vector3d origin_ = Vector3d::Zero();  // subtracted from all translations
   double damping_scale_ = 1;

@@ -28,9 +28,11 @@ bool fixed_at(const PoseGraphProblem& problem, std::size_t i) {
 
 }  // namespace
 
-/// An old order serves any graph on the old vertices and more; whether it serves it well is seen from the work.
+/// An old order serves any graph on the old vertices and more; whether it serves it well is seen
+/// from the work.
 bool PoseGraphPlan::Impl::can_extend(const PoseGraphProblem& problem) const {
-  return num_poses_ > 0 && model_ == model_of(problem) && num_poses_ <= static_cast<int>(problem.poses.size());
+  return num_poses_ > 0 && model_ == model_of(problem) &&
+         num_poses_ <= static_cast<int>(problem.poses.size());
 }
 
 bool PoseGraphPlan::Impl::same_structure(const PoseGraphProblem& problem) const {
@@ -67,8 +69,9 @@ void PoseGraphPlan::Impl::remember_structure(const PoseGraphProblem& problem) {
   }
 }
 
-/// The new vertices first, the newest of all leading, then the old order. A map grows at an end, where elimination
-/// best begins; were the new vertices last, every front on the way inwards would carry them along.
+/// The new vertices first, the newest of all leading, then the old order. A map grows at an end,
+/// where elimination best begins; were the new vertices last, every front on the way inwards would
+/// carry them along.
 std::vector<int> PoseGraphPlan::Impl::extended_order(const std::vector<int>& old_free_pose,
                                                      const std::vector<int>& old_order) const {
   const int n = static_cast<int>(free_pose_.size());
@@ -130,7 +133,7 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
     }
     if (fresh) {
       watch = Stopwatch();
-      std::vector<int> order = block::fill_reducing_order(graph_);
+      std::vector<int> order = block::minimum_degree_order(graph_);
       result.times.ordering_ms += watch.elapsed_ms();
       analyse(std::move(order));
       work_per_vertex_at_ordering_ = symbolic_.work / std::max(1, n);
@@ -144,8 +147,9 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
   result.anchored = held_.anchored;
 }
 
-/// Orders the edges as the tasks consume them: an edge belongs to the front that eliminates its first end. Tasks start
-/// on whole batches. Edges between held vertices come at the end; they only count for the cost.
+/// Orders the edges as the tasks consume them: an edge belongs to the front that eliminates its
+/// first end. Tasks start on whole batches. Edges between held vertices come at the end; they only
+/// count for the cost.
 void PoseGraphPlan::Impl::assign_slots(const PoseGraphProblem& problem) {
   const std::size_t num_edges = problem.edges.size(), num_fronts = symbolic_.fronts.size();
   const auto elimination_index = [&](int pose) {
@@ -166,7 +170,9 @@ void PoseGraphPlan::Impl::assign_slots(const PoseGraphProblem& problem) {
     front_edges_begin_[front] = front_edges_end_[front] = slot;
     slot += count[front];
   };
-  const auto round_up = [](std::size_t s) { return (s + block::kLanes - 1) / block::kLanes * block::kLanes; };
+  const auto round_up = [](std::size_t s) {
+    return (s + block::kLanes - 1) / block::kLanes * block::kLanes;
+  };
   for (const block::Task& t : symbolic_.tasks) {
     for (std::size_t i = t.begin; i < t.end; ++i) place(symbolic_.task_fronts[i]);
     slot = round_up(slot);
@@ -189,7 +195,8 @@ void PoseGraphPlan::Impl::assign_slots(const PoseGraphProblem& problem) {
       to_[s] = ends_[2 * k + 1];
       if (front_of_edge[k] == static_cast<int>(num_fronts)) continue;
       const block::Front& f = symbolic_.fronts[front_of_edge[k]];
-      for (int e = 0; e < 2; ++e) edge_position_[2 * s + e] = position_in(f, elimination_index(ends_[2 * k + e]));
+      for (int e = 0; e < 2; ++e)
+        edge_position_[2 * s + e] = position_in(f, elimination_index(ends_[2 * k + e]));
     }
   });
 }
@@ -218,33 +225,34 @@ void PoseGraphPlan::Impl::build_views() {
 }
 
 void PoseGraphPlan::Impl::build_view(std::size_t k) {
-    const block::Front& f = symbolic_.fronts[k];
-    block::FrontView& v = fronts_[k];
-    v.panel = panel_.data() + f.panel_offset;
-    v.panel_stride = f.panel_stride;
-    v.schur = schur_.data() + f.schur_offset;
-    v.schur_stride = f.schur_stride;
-    v.schur_first_row = f.schur_first_row;
-    v.pivots = f.pivots;
-    v.below = f.below;
-    v.first_vertex = f.first;
-    v.edges_begin = front_edges_begin_[k];
-    v.edges_end = front_edges_end_[k];
-    v.edge_position = edge_position_.data();
-    v.children = children_.data() + f.children;
-    v.num_children = f.num_children;
-    v.rhs = rhs_.data() + f.rhs_offset;
-    for (int c = 0; c < f.num_children; ++c) {
-      const block::Front& child = symbolic_.fronts[symbolic_.children[f.children + c]];
-      block::ChildView& view = children_[f.children + c];
-      view.schur = schur_.data() + child.schur_offset + (child.pivots * block_size_ - child.schur_first_row);
-      view.stride = child.schur_stride;
-      view.blocks = child.below;
-      view.position = symbolic_.position_in_parent.data() + child.rows;
-      view.runs = symbolic_.runs.data() + child.runs;
-      view.num_runs = child.num_runs;
-      view.rhs = rhs_.data() + child.rhs_offset;
-    }
+  const block::Front& f = symbolic_.fronts[k];
+  block::FrontView& v = fronts_[k];
+  v.panel = panel_.data() + f.panel_offset;
+  v.panel_stride = f.panel_stride;
+  v.schur = schur_.data() + f.schur_offset;
+  v.schur_stride = f.schur_stride;
+  v.schur_first_row = f.schur_first_row;
+  v.pivots = f.pivots;
+  v.below = f.below;
+  v.first_vertex = f.first;
+  v.edges_begin = front_edges_begin_[k];
+  v.edges_end = front_edges_end_[k];
+  v.edge_position = edge_position_.data();
+  v.children = children_.data() + f.children;
+  v.num_children = f.num_children;
+  v.rhs = rhs_.data() + f.rhs_offset;
+  for (int c = 0; c < f.num_children; ++c) {
+    const block::Front& child = symbolic_.fronts[symbolic_.children[f.children + c]];
+    block::ChildView& view = children_[f.children + c];
+    view.schur =
+        schur_.data() + child.schur_offset + (child.pivots * block_size_ - child.schur_first_row);
+    view.stride = child.schur_stride;
+    view.blocks = child.below;
+    view.position = symbolic_.position_in_parent.data() + child.rows;
+    view.runs = symbolic_.runs.data() + child.runs;
+    view.num_runs = child.num_runs;
+    view.rhs = rhs_.data() + child.rhs_offset;
+  }
 }
 
 }  // namespace fastloop::optimization

@@ -27,8 +27,8 @@ void reset(PoseGraphResult& result) {
 
 }  // namespace
 
-void solve_pose_graph(PoseGraphProblem& problem, const PoseGraphOptions& options, PoseGraphPlan* plan,
-                      PoseGraphResult& result) {
+void solve_pose_graph(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                      PoseGraphPlan* plan, PoseGraphResult& result) {
   const Stopwatch watch;
   options.validate();
   reset(result);

@@ -38,13 +38,14 @@ Matrix7d square_root(const Matrix7d& information, int size) {
     root.topLeftCorner(size, size) = llt.matrixU();
   } else {
     const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(m);
-    root.topLeftCorner(size, size) =
-        eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() * eigen.eigenvectors().transpose();
+    root.topLeftCorner(size, size) = eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() *
+                                     eigen.eigenvectors().transpose();
   }
   return root;
 }
 
-/// World-frame update. Cost functions already return derivatives for the update, in the first columns.
+/// World-frame update. Cost functions already return derivatives for the update, in the first
+/// columns.
 class WorldManifold : public ceres::Manifold {
  public:
   WorldManifold(PoseGraphKind kind, int tangent) : kind_(kind), tangent_(tangent) {}
@@ -116,7 +117,8 @@ class YawCost : public ceres::SizedCostFunction<6, 4, 4> {
     if (jacobians == nullptr) return true;
     const Matrix3d r_from_world = from.rotation.conjugate().toRotationMatrix();
     Eigen::Matrix<double, 6, 4> j = Eigen::Matrix<double, 6, 4>::Zero();
-    j.block<3, 1>(0, 0) = so3::right_jacobian_inverse(-e.head<3>()) * r_from_world * Vector3d::UnitZ();
+    j.block<3, 1>(0, 0) =
+        so3::right_jacobian_inverse(-e.head<3>()) * r_from_world * Vector3d::UnitZ();
     j.block<3, 3>(3, 1) = r_from_world;
     using Out = Eigen::Map<Eigen::Matrix<double, 6, 4, Eigen::RowMajor>>;
     if (jacobians[1] != nullptr) Out(jacobians[1]).noalias() = root_ * j;
@@ -151,14 +153,16 @@ class KernelLoss : public ceres::LossFunction {
 
 class Recorder : public ceres::IterationCallback {
  public:
-  Recorder(const PoseGraphOptions& options, PoseGraphResult& result) : options_(options), result_(result) {}
+  Recorder(const PoseGraphOptions& options, PoseGraphResult& result)
+      : options_(options), result_(result) {}
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& s) override {
     if (s.iteration > 0) ++result_.factorizations;
     if (s.step_is_successful || s.iteration == 0) {
       result_.cost_history.push_back(s.cost);
       if (s.iteration > 0) ++result_.iterations;
     }
-    return s.cost <= options_.target_cost ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
+    return s.cost <= options_.target_cost ? ceres::SOLVER_TERMINATE_SUCCESSFULLY
+                                          : ceres::SOLVER_CONTINUE;
   }
 
  private:
@@ -182,13 +186,15 @@ ceres::Solver::Options solver_options(const PoseGraphOptions& options) {
 
 }  // namespace
 
-void solve_with_ceres(PoseGraphProblem& problem, const PoseGraphOptions& options, PoseGraphResult& result) {
+void solve_with_ceres(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                      PoseGraphResult& result) {
   HeldVertices held;
   find_held_vertices(problem, held);
   result.components = held.components;
   result.anchored = held.anchored;
   const bool yaw = problem.kind == PoseGraphKind::kYaw;
-  const int size = residual_size(problem.kind), tangent = tangent_size(problem.kind, problem.fixed_scale);
+  const int size = residual_size(problem.kind),
+            tangent = tangent_size(problem.kind, problem.fixed_scale);
   std::vector<Matrix7d> roots;
   for (const PoseGraphInformation& w : problem.information) roots.push_back(square_root(w, size));
 
@@ -221,9 +227,10 @@ void solve_with_ceres(PoseGraphProblem& problem, const PoseGraphOptions& options
     } else {
       cost = new EdgeCost<7>(problem.kind, e.T_from_to, root);
     }
-    const bool robust =
-        options.robust_kernel != RobustKernel::kNone && (e.switchable || options.robust_on_all_edges);
-    model.AddResidualBlock(cost, robust ? &loss : nullptr, blocks[e.from].data(), blocks[e.to].data());
+    const bool robust = options.robust_kernel != RobustKernel::kNone &&
+                        (e.switchable || options.robust_on_all_edges);
+    model.AddResidualBlock(cost, robust ? &loss : nullptr, blocks[e.from].data(),
+                           blocks[e.to].data());
   }
 
   ceres::Solver::Options o = solver_options(options);
@@ -246,7 +253,8 @@ void solve_with_ceres(PoseGraphProblem& problem, const PoseGraphOptions& options
   }
   for (std::size_t i = 0; i < blocks.size(); ++i) {
     if (held.held[i]) continue;
-    problem.poses[i] = yaw ? YawCost::pose(problem.poses[i], blocks[i].data()) : to_pose(blocks[i].data());
+    problem.poses[i] =
+        yaw ? YawCost::pose(problem.poses[i], blocks[i].data()) : to_pose(blocks[i].data());
   }
 }
 

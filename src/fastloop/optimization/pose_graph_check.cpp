@@ -11,8 +11,7 @@ namespace fastloop::optimization {
 namespace {
 
 bool is_pose(const Sim3& pose) {
-  return pose.is_finite() && pose.scale > 0 &&
-         std::abs(pose.rotation.squaredNorm() - 1) < 1e-6;
+  return pose.is_finite() && pose.scale > 0 && std::abs(pose.rotation.squaredNorm() - 1) < 1e-6;
 }
 
 /// Message of what is wrong with an information matrix, or null.
@@ -22,7 +21,8 @@ const char* information_fault(const PoseGraphInformation& full, int size) {
   const double largest = m.cwiseAbs().maxCoeff();
   if ((m - m.transpose()).cwiseAbs().maxCoeff() > 1e-9 * largest) return "is not symmetric";
   if (m.isDiagonal(0.0)) return (m.diagonal().array() < 0).any() ? "is indefinite" : nullptr;
-  // A successful Cholesky factorisation settles the common case; otherwise eigenvalues tell semi-definite from indefinite.
+  // A successful Cholesky factorisation settles the common case; otherwise eigenvalues tell
+  // semi-definite from indefinite.
   Matrix7d padded = Matrix7d::Identity();
   padded.topLeftCorner(size, size) = m;
   if (Eigen::LLT<Matrix7d>(padded).info() == Eigen::Success) return nullptr;
@@ -43,7 +43,8 @@ void PoseGraphOptions::validate() const {
   };
   require(threads >= 1 && threads <= 1024, "threads must be in [1, 1024]");
   require(max_iterations >= 0, "max_iterations must not be negative");
-  require(relative_tolerance >= 0 && relative_tolerance < 1, "relative_tolerance must be in [0, 1)");
+  require(relative_tolerance >= 0 && relative_tolerance < 1,
+          "relative_tolerance must be in [0, 1)");
   require(robust_width > 0 && std::isfinite(robust_width), "robust_width must be positive");
   require(rejection_gate > 0, "rejection_gate must be positive");
   require(initial_trust_region_radius > 0, "initial_trust_region_radius must be positive");
@@ -52,8 +53,8 @@ void PoseGraphOptions::validate() const {
 std::optional<std::string> find_pose_graph_error(const PoseGraphProblem& problem) {
   const int n = static_cast<int>(problem.poses.size());
   if (!problem.fixed.empty() && problem.fixed.size() != problem.poses.size())
-    return "fixed has " + std::to_string(problem.fixed.size()) + " entries for " + std::to_string(n) +
-           " poses";
+    return "fixed has " + std::to_string(problem.fixed.size()) + " entries for " +
+           std::to_string(n) + " poses";
   for (int i = 0; i < n; ++i)
     if (!is_pose(problem.poses[i])) return "pose " + std::to_string(i) + " is not a finite pose";
   const int size = residual_size(problem.kind);
@@ -62,10 +63,12 @@ std::optional<std::string> find_pose_graph_error(const PoseGraphProblem& problem
       return "information matrix " + std::to_string(k) + " " + fault;
   for (std::size_t k = 0; k < problem.edges.size(); ++k) {
     const PoseGraphEdge& e = problem.edges[k];
-    const auto fault = [k](const std::string& what) { return "edge " + std::to_string(k) + " " + what; };
+    const auto fault = [k](const std::string& what) {
+      return "edge " + std::to_string(k) + " " + what;
+    };
     if (e.from < 0 || e.from >= n || e.to < 0 || e.to >= n)
-      return fault("joins " + std::to_string(e.from) + " and " + std::to_string(e.to) + " but there are " +
-                   std::to_string(n) + " vertices");
+      return fault("joins " + std::to_string(e.from) + " and " + std::to_string(e.to) +
+                   " but there are " + std::to_string(n) + " vertices");
     if (e.from == e.to) return fault("joins vertex " + std::to_string(e.from) + " to itself");
     if (e.information < 0 || e.information >= static_cast<int>(problem.information.size()))
       return fault("refers to a missing information matrix");

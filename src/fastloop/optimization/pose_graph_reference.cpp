@@ -11,10 +11,12 @@
 namespace fastloop::optimization {
 namespace {
 
-/// Vertex update of the published code: in the vertex's own frame; for 4-DoF yaw about gravity and a shift.
+/// Vertex update of the published code: in the vertex's own frame; for 4-DoF yaw about gravity and
+/// a shift.
 Sim3 move_locally(PoseGraphKind kind, const Sim3& pose, const Vector7d& d) {
   if (kind != PoseGraphKind::kYaw) return pose * Sim3::exp(d);
-  return Sim3(so3::exp(Vector3d(0, 0, d[0])) * pose.rotation, pose.translation + d.segment<3>(1), 1);
+  return Sim3(so3::exp(Vector3d(0, 0, d[0])) * pose.rotation, pose.translation + d.segment<3>(1),
+              1);
 }
 
 /// Scalar normal equations, upper triangle; knows where the columns of every edge's blocks start.
@@ -90,7 +92,8 @@ class ScalarSystem {
 template <int D, int R>
 class ReferenceSolver {
  public:
-  ReferenceSolver(PoseGraphProblem& problem, const PoseGraphOptions& options, PoseGraphResult& result)
+  ReferenceSolver(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                  PoseGraphResult& result)
       : problem_(problem), options_(options), result_(result) {
     HeldVertices held;
     find_held_vertices(problem, held);

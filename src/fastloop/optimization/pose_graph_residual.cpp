@@ -30,7 +30,8 @@ Vector7d edge_residual(PoseGraphKind kind, const Sim3& from, const Sim3& to, con
   return r;
 }
 
-EdgeLinearization linearize_edge(PoseGraphKind kind, const Sim3& from, const Sim3& to, const Sim3& z) {
+EdgeLinearization linearize_edge(PoseGraphKind kind, const Sim3& from, const Sim3& to,
+                                 const Sim3& z) {
   EdgeLinearization out;
   out.residual = edge_residual(kind, from, to, z);
   if (kind == PoseGraphKind::kSim3) {
@@ -59,13 +60,15 @@ EdgeLinearization linearize_edge(PoseGraphKind kind, const Sim3& from, const Sim
 Sim3 move_vertex(PoseGraphKind kind, const Sim3& pose, const Vector7d& d) {
   if (kind == PoseGraphKind::kYaw) {
     const Eigen::Quaterniond yaw = so3::exp(Vector3d(0, 0, d[0]));
-    return Sim3(yaw * pose.rotation,
-                pose.translation + d[0] * Vector3d::UnitZ().cross(pose.translation) + d.segment<3>(1),
-                pose.scale);
+    return Sim3(
+        yaw * pose.rotation,
+        pose.translation + d[0] * Vector3d::UnitZ().cross(pose.translation) + d.segment<3>(1),
+        pose.scale);
   }
   if (kind == PoseGraphKind::kSe3)
     return Sim3(so3::exp(d.head<3>()) * pose.rotation,
-                pose.translation + d.head<3>().cross(pose.translation) + d.segment<3>(3), pose.scale);
+                pose.translation + d.head<3>().cross(pose.translation) + d.segment<3>(3),
+                pose.scale);
   return Sim3::exp(d) * pose;
 }
 

@@ -12,7 +12,9 @@ TEST(PoseGraphSlow, FiveHundredRandomGraphs) {
   for (int k = 0; k < 500; ++k) {
     testing::Random random(1000 + k);
     testing::RandomGraphOptions graph;
-    graph.kind = k % 4 == 0 ? PoseGraphKind::kYaw : k % 4 == 1 ? PoseGraphKind::kSe3 : PoseGraphKind::kSim3;
+    graph.kind = k % 4 == 0   ? PoseGraphKind::kYaw
+                 : k % 4 == 1 ? PoseGraphKind::kSe3
+                              : PoseGraphKind::kSim3;
     graph.poses = 3 + random.integer(60);
     graph.extra_edges = 2 * random.uniform();
     graph.noise = 0.05 * random.uniform();
@@ -21,7 +23,8 @@ TEST(PoseGraphSlow, FiveHundredRandomGraphs) {
     PoseGraphProblem start = random_graph(random, graph);
     start.fixed_scale = k % 4 == 3;
     double cost[3];
-    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres, PoseGraphSolverKind::kReference}) {
+    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres,
+                        PoseGraphSolverKind::kReference}) {
       PoseGraphProblem p = start;
       PoseGraphOptions options;
       options.solver = solver;

@@ -15,9 +15,11 @@ namespace fastloop::optimization {
 namespace {
 
 using testing::disturbed;
+using testing::graph_of;
 using testing::largest_difference;
 using testing::random_graph;
 using testing::RandomGraphOptions;
+using testing::same_bytes;
 
 constexpr PoseGraphKind kKinds[] = {PoseGraphKind::kYaw, PoseGraphKind::kSe3, PoseGraphKind::kSim3};
 
@@ -28,22 +30,14 @@ INSTANTIATE_TEST_SUITE_P(All, PoseGraphKinds, ::testing::ValuesIn(kKinds), [](co
                                                          : "Sim3");
 });
 
-PoseGraphProblem graph_of(PoseGraphKind kind, int poses, std::uint64_t seed, double displacement = 0.05) {
-  testing::Random random(seed);
-  RandomGraphOptions options;
-  options.kind = kind;
-  options.poses = poses;
-  options.displacement = displacement;
-  return random_graph(random, options);
-}
-
 TEST_P(PoseGraphKinds, DerivativesAreThoseOfDifferences) {
   testing::Random random(3);
   const PoseGraphKind kind = GetParam();
   const int d = tangent_size(kind, false);
   for (double error : {0.0, 1e-9, 1e-4, 0.1, 0.6, 1.5}) {
     for (int repeat = 0; repeat < 20; ++repeat) {
-      const Sim3 from = testing::random_pose(random, kind, 3), to = testing::random_pose(random, kind, 3);
+      const Sim3 from = testing::random_pose(random, kind, 3),
+                 to = testing::random_pose(random, kind, 3);
       Vector7d noise = random.tangent(error, error, 0.5 * error);
       if (kind != PoseGraphKind::kSim3) noise[6] = 0;
       if (noise.head<3>().norm() > 2.5) continue;  // at pi the logarithm has no derivative
@@ -56,14 +50,20 @@ TEST_P(PoseGraphKinds, DerivativesAreThoseOfDifferences) {
           EXPECT_EQ(l.jacobian_to.col(c).norm(), 0);
           continue;
         }
-        const auto residual = [&](const Sim3& a, const Sim3& b) { return edge_residual(kind, a, b, z); };
-        const Vector7d of_to =
-            (residual(from, move_vertex(kind, to, step)) - residual(from, move_vertex(kind, to, -step))) / 2e-6;
-        const Vector7d of_from =
-            (residual(move_vertex(kind, from, step), to) - residual(move_vertex(kind, from, -step), to)) / 2e-6;
+        const auto residual = [&](const Sim3& a, const Sim3& b) {
+          return edge_residual(kind, a, b, z);
+        };
+        const Vector7d of_to = (residual(from, move_vertex(kind, to, step)) -
+                                residual(from, move_vertex(kind, to, -step))) /
+                               2e-6;
+        const Vector7d of_from = (residual(move_vertex(kind, from, step), to) -
+                                  residual(move_vertex(kind, from, -step), to)) /
+                                 2e-6;
         const double tolerance = 2e-7 * (1 + l.jacobian_to.norm());
-        EXPECT_LT((l.jacobian_to.col(c) - of_to).norm(), tolerance) << "error " << error << " column " << c;
-        EXPECT_LT((l.jacobian_to.col(c) + of_from).norm(), tolerance) << "error " << error << " column " << c;
+        EXPECT_LT((l.jacobian_to.col(c) - of_to).norm(), tolerance)
+            << "error " << error << " column " << c;
+        EXPECT_LT((l.jacobian_to.col(c) + of_from).norm(), tolerance)
+            << "error " << error << " column " << c;
       }
     }
   }
@@ -86,7 +86,8 @@ TEST_P(PoseGraphKinds, AgreesWithCeresAndReference) {
   for (std::uint64_t seed = 0; seed < 10; ++seed) {
     const PoseGraphProblem start = graph_of(GetParam(), 12 + 5 * static_cast<int>(seed), seed);
     double cost[3];
-    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres, PoseGraphSolverKind::kReference}) {
+    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres,
+                        PoseGraphSolverKind::kReference}) {
       PoseGraphProblem p = start;
       PoseGraphOptions options;
       options.solver = solver;
@@ -116,7 +117,8 @@ TEST(PoseGraph, FixedScaleKeepsScales) {
   const PoseGraphResult c = solve_pose_graph(other, ceres);
   EXPECT_LT(r.final_cost, 0.5 * r.initial_cost);
   EXPECT_LE(r.final_cost, c.final_cost * (1 + 1e-6));
-  for (std::size_t i = 0; i < p.poses.size(); ++i) EXPECT_EQ(p.poses[i].scale, start.poses[i].scale);
+  for (std::size_t i = 0; i < p.poses.size(); ++i)
+    EXPECT_EQ(p.poses[i].scale, start.poses[i].scale);
 }
 
 TEST(PoseGraph, YawKeepsRollAndPitch) {
@@ -149,7 +151,8 @@ TEST_P(PoseGraphKinds, PermutationInvariance) {
   testing::Random random(99);
   std::vector<int> place(p.poses.size());
   std::iota(place.begin(), place.end(), 0);
-  for (int i = static_cast<int>(place.size()) - 1; i > 0; --i) std::swap(place[i], place[random.integer(i + 1)]);
+  for (int i = static_cast<int>(place.size()) - 1; i > 0; --i)
+    std::swap(place[i], place[random.integer(i + 1)]);
   PoseGraphProblem q = p;
   for (std::size_t i = 0; i < place.size(); ++i) {
     q.poses[place[i]] = p.poses[i];
@@ -168,14 +171,6 @@ TEST_P(PoseGraphKinds, PermutationInvariance) {
   EXPECT_LT(largest_difference(p.poses, back), 1e-9);
 }
 
-bool same_bytes(const std::vector<Sim3>& a, const std::vector<Sim3>& b) {
-  for (std::size_t i = 0; i < a.size(); ++i)
-    if (a[i].rotation.coeffs() != b[i].rotation.coeffs() || a[i].translation != b[i].translation ||
-        a[i].scale != b[i].scale)
-      return false;
-  return a.size() == b.size();
-}
-
 TEST_P(PoseGraphKinds, AnyNumberOfThreadsGivesTheSameBytes) {
   const PoseGraphProblem start = graph_of(GetParam(), 700, 11);
   PoseGraphProblem first = start;
@@ -190,66 +185,32 @@ TEST_P(PoseGraphKinds, AnyNumberOfThreadsGivesTheSameBytes) {
   }
 }
 
-TEST_P(PoseGraphKinds, KeptPlanChangesNothing) {
-  const PoseGraphProblem start = graph_of(GetParam(), 80, 12);
-  PoseGraphPlan plan;
-  PoseGraphProblem a = start, b = start, c = start;
-  EXPECT_FALSE(solve_pose_graph(a, {}, &plan).plan_reused);
-  EXPECT_TRUE(solve_pose_graph(b, {}, &plan).plan_reused);
-  solve_pose_graph(c);
-  EXPECT_TRUE(same_bytes(a.poses, b.poses));
-  EXPECT_TRUE(same_bytes(a.poses, c.poses));
-  // Another graph with the same plan starts afresh and is right, too.
-  PoseGraphProblem other = graph_of(GetParam(), 33, 13), alone = other;
-  const PoseGraphResult r = solve_pose_graph(other, {}, &plan);
-  EXPECT_FALSE(r.plan_reused || r.plan_extended);
-  solve_pose_graph(alone);
-  EXPECT_TRUE(same_bytes(other.poses, alone.poses));
-}
-
-TEST_P(PoseGraphKinds, PlanIsExtended) {
-  const PoseGraphProblem whole = graph_of(GetParam(), 150, 14);
-  PoseGraphPlan plan;
-  for (int n : {100, 110, 120, 150}) {
-    PoseGraphProblem part = whole;
-    part.poses.resize(n);
-    part.fixed.assign(n, 0);
-    part.fixed[0] = 1;
-    // Edges in the order in which a map would add them.
-    std::stable_sort(part.edges.begin(), part.edges.end(), [](const PoseGraphEdge& a, const PoseGraphEdge& b) {
-      return std::max(a.from, a.to) < std::max(b.from, b.to);
-    });
-    std::erase_if(part.edges, [n](const PoseGraphEdge& e) { return std::max(e.from, e.to) >= n; });
-    PoseGraphProblem fresh = part;
-    const PoseGraphResult with_plan = solve_pose_graph(part, {}, &plan);
-    EXPECT_FALSE(with_plan.plan_reused);
-    const PoseGraphResult without = solve_pose_graph(fresh);
-    EXPECT_NEAR(with_plan.final_cost, without.final_cost, 1e-9 * without.final_cost);
-    EXPECT_LT(largest_difference(part.poses, fresh.poses), 1e-8);
+/// Edges that share a matrix give the same bytes as edges with equal ones of their own.
+TEST_P(PoseGraphKinds, SharedInformationChangesNothing) {
+  for (bool full : {false, true}) {
+    testing::Random random(16);
+    RandomGraphOptions options;
+    options.kind = GetParam();
+    options.poses = 90;
+    options.full_information = full;
+    PoseGraphProblem shared = random_graph(random, options);
+    for (std::size_t k = 0; k < shared.edges.size(); ++k) shared.edges[k].information = k % 40 == 7;
+    PoseGraphProblem own = shared;
+    own.information.clear();
+    for (PoseGraphEdge& e : own.edges) {
+      own.information.push_back(shared.information[static_cast<std::size_t>(e.information)]);
+      e.information = static_cast<int>(own.information.size()) - 1;
+    }
+    const PoseGraphResult a = solve_pose_graph(shared), b = solve_pose_graph(own);
+    EXPECT_EQ(a.cost_history, b.cost_history);
+    EXPECT_TRUE(same_bytes(shared.poses, own.poses));
+    EXPECT_NEAR(a.final_cost, pose_graph_cost(shared), 1e-9 * a.final_cost);
   }
-}
-
-TEST(PoseGraph, PlanExtensionIsReported) {
-  PoseGraphProblem p;
-  p.kind = PoseGraphKind::kSe3;
-  for (int i = 0; i < 200; ++i) {
-    p.poses.emplace_back(Eigen::Quaterniond::Identity(), Vector3d(i, 0, 0), 1);
-    for (int k = std::max(0, i - 3); k < i; ++k)
-      p.edges.push_back({k, i, Sim3(Eigen::Quaterniond::Identity(), Vector3d(1.01 * (i - k), 0, 0), 1), 0, false});
-  }
-  PoseGraphProblem part = p;
-  part.poses.resize(190);
-  std::erase_if(part.edges, [](const PoseGraphEdge& e) { return e.to >= 190; });
-  PoseGraphPlan plan;
-  solve_pose_graph(part, {}, &plan);
-  PoseGraphProblem fresh = p;
-  const PoseGraphResult r = solve_pose_graph(p, {}, &plan);
-  EXPECT_TRUE(r.plan_extended);
-  EXPECT_NEAR(r.final_cost, solve_pose_graph(fresh).final_cost, 1e-9);
 }
 
 TEST(PoseGraph, ComponentsAreAnchored) {
-  PoseGraphProblem a = graph_of(PoseGraphKind::kSe3, 15, 21), b = graph_of(PoseGraphKind::kSe3, 12, 22);
+  PoseGraphProblem a = graph_of(PoseGraphKind::kSe3, 15, 21),
+                   b = graph_of(PoseGraphKind::kSe3, 12, 22);
   PoseGraphProblem both = a;
   both.poses.insert(both.poses.end(), b.poses.begin(), b.poses.end());
   both.poses.emplace_back(Eigen::Quaterniond::Identity(), Vector3d(7, 7, 7), 1.0);  // without edges
@@ -287,7 +248,8 @@ TEST(PoseGraph, BadProblemsAreRefusedWithTheReason) {
   const PoseGraphProblem good = graph_of(PoseGraphKind::kSe3, 10, 24);
   const auto reason = [&](auto damage) {
     std::string text;
-    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres, PoseGraphSolverKind::kReference}) {
+    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres,
+                        PoseGraphSolverKind::kReference}) {
       PoseGraphProblem p = good;
       damage(p);
       const std::vector<Sim3> before = p.poses;
@@ -306,18 +268,27 @@ TEST(PoseGraph, BadProblemsAreRefusedWithTheReason) {
     }
     return text;
   };
-  const double nan = std::numeric_limits<double>::quiet_NaN(), inf = std::numeric_limits<double>::infinity();
-  EXPECT_NE(reason([&](auto& p) { p.poses[3].translation.x() = nan; }).find("pose 3"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.poses[4].rotation.coeffs().setZero(); }).find("pose 4"), std::string::npos);
+  const double nan = std::numeric_limits<double>::quiet_NaN(),
+               inf = std::numeric_limits<double>::infinity();
+  EXPECT_NE(reason([&](auto& p) { p.poses[3].translation.x() = nan; }).find("pose 3"),
+            std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.poses[4].rotation.coeffs().setZero(); }).find("pose 4"),
+            std::string::npos);
   EXPECT_NE(reason([&](auto& p) { p.poses[2].scale = 0; }).find("pose 2"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.edges[5].T_from_to.translation.y() = inf; }).find("edge 5"), std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.edges[5].T_from_to.translation.y() = inf; }).find("edge 5"),
+            std::string::npos);
   EXPECT_NE(reason([&](auto& p) { p.edges[2].to = 10; }).find("10 vertices"), std::string::npos);
   EXPECT_NE(reason([&](auto& p) { p.edges[2].from = -1; }).find("edge 2"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.edges[1].to = p.edges[1].from; }).find("itself"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.edges[1].information = 5; }).find("missing information"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.information[3](1, 1) = -1; }).find("indefinite"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.information[3](1, 2) += 1; }).find("not symmetric"), std::string::npos);
-  EXPECT_NE(reason([&](auto& p) { p.information[0](0, 0) = nan; }).find("not finite"), std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.edges[1].to = p.edges[1].from; }).find("itself"),
+            std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.edges[1].information = 5; }).find("missing information"),
+            std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.information[3](1, 1) = -1; }).find("indefinite"),
+            std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.information[3](1, 2) += 1; }).find("not symmetric"),
+            std::string::npos);
+  EXPECT_NE(reason([&](auto& p) { p.information[0](0, 0) = nan; }).find("not finite"),
+            std::string::npos);
   EXPECT_NE(reason([&](auto& p) { p.fixed.resize(3); }).find("fixed"), std::string::npos);
 }
 
@@ -353,7 +324,8 @@ TEST_P(PoseGraphKinds, ZeroInformationConnectsNothing) {
   p.fixed.push_back(0);
   PoseGraphProblem without = p;
   p.edges.push_back({3, 20, Sim3(), 5, false});
-  for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres, PoseGraphSolverKind::kReference}) {
+  for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres,
+                      PoseGraphSolverKind::kReference}) {
     PoseGraphProblem q = p;
     PoseGraphOptions options;
     options.solver = solver;
@@ -406,9 +378,11 @@ TEST_P(PoseGraphKinds, RobustKernelsWithstandAWrongLoop) {
   solve_pose_graph(plain);
   const double harm = largest_difference(plain.poses, expected);
   EXPECT_GT(harm, 0.05);
-  for (auto kernel : {RobustKernel::kHuber, RobustKernel::kCauchy, RobustKernel::kDynamicCovarianceScaling}) {
+  for (auto kernel :
+       {RobustKernel::kHuber, RobustKernel::kCauchy, RobustKernel::kDynamicCovarianceScaling}) {
     double cost[3];
-    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres, PoseGraphSolverKind::kReference}) {
+    for (auto solver : {PoseGraphSolverKind::kBlock, PoseGraphSolverKind::kCeres,
+                        PoseGraphSolverKind::kReference}) {
       PoseGraphProblem p = start;
       PoseGraphOptions options;
       options.solver = solver;

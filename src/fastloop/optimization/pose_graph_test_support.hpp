@@ -19,7 +19,8 @@ class Random {
   int integer(int n) { return std::min(n - 1, static_cast<int>(uniform() * n)); }
   Vector7d tangent(double rotation, double translation, double log_scale) {
     Vector7d d;
-    for (int i = 0; i < 7; ++i) d[i] = normal() * (i < 3 ? rotation : i < 6 ? translation : log_scale);
+    for (int i = 0; i < 7; ++i)
+      d[i] = normal() * (i < 3 ? rotation : i < 6 ? translation : log_scale);
     return d;
   }
 
@@ -59,8 +60,9 @@ inline Sim3 random_pose(Random& random, PoseGraphKind kind, double spread) {
 /// Disturbs a pose in the ways its kind allows.
 inline Sim3 disturbed(Random& random, PoseGraphKind kind, const Sim3& pose, double size) {
   Vector7d d = random.tangent(size, size, 0.5 * size);
-  if (kind == PoseGraphKind::kYaw) d = Vector7d(Vector7d::Unit(0) * d[0] + d.cwiseProduct(
-                                      (Vector7d() << 0, 1, 1, 1, 0, 0, 0).finished()));
+  if (kind == PoseGraphKind::kYaw)
+    d = Vector7d(Vector7d::Unit(0) * d[0] +
+                 d.cwiseProduct((Vector7d() << 0, 1, 1, 1, 0, 0, 0).finished()));
   if (kind == PoseGraphKind::kSe3) d[6] = 0;
   return move_vertex(kind, pose, d);
 }
@@ -74,11 +76,13 @@ inline PoseGraphProblem random_graph(Random& random, const RandomGraphOptions& o
     p.poses.push_back(disturbed(random, options.kind, truth.back(), options.displacement));
   }
   p.information.clear();
-  for (int k = 0; k < 5; ++k) p.information.push_back(random_information(random, options.full_information));
+  for (int k = 0; k < 5; ++k)
+    p.information.push_back(random_information(random, options.full_information));
   const auto add = [&](int from, int to) {
     Vector7d noise = random.tangent(options.noise, options.noise, options.noise);
     if (options.kind != PoseGraphKind::kSim3) noise[6] = 0;
-    p.edges.push_back({from, to, truth[from].inverse() * truth[to] * Sim3::exp(noise), random.integer(5), false});
+    p.edges.push_back(
+        {from, to, truth[from].inverse() * truth[to] * Sim3::exp(noise), random.integer(5), false});
   };
   for (int i = 1; i < options.poses; ++i) random.uniform() < 0.5 ? add(i - 1, i) : add(i, i - 1);
   for (int k = 0; k < static_cast<int>(options.extra_edges * options.poses); ++k) {
@@ -100,6 +104,25 @@ inline double largest_difference(const std::vector<Sim3>& a, const std::vector<S
     largest = std::max(largest, std::abs(a[i].scale - b[i].scale));
   }
   return largest;
+}
+
+inline PoseGraphProblem graph_of(PoseGraphKind kind, int poses, std::uint64_t seed,
+                                 double displacement = 0.05) {
+  Random random(seed);
+  RandomGraphOptions options;
+  options.kind = kind;
+  options.poses = poses;
+  options.displacement = displacement;
+  return random_graph(random, options);
+}
+
+inline bool same_bytes(const std::vector<Sim3>& a, const std::vector<Sim3>& b) {
+  if (a.size() != b.size()) return false;
+  for (std::size_t i = 0; i < a.size(); ++i)
+    if (a[i].rotation.coeffs() != b[i].rotation.coeffs() || a[i].translation != b[i].translation ||
+        a[i].scale != b[i].scale)
+      return false;
+  return true;
 }
 
 }  // namespace fastloop::optimization::testing

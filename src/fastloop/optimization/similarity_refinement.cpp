@@ -46,11 +46,10 @@ class Problem {
     int left = 0;
     for (std::size_t i = 0; i < pairs_.size(); ++i) {
       const SimilarityPair& p = pairs_[i];
-      const bool good =
-          error_of(camera_, s * p.p_second, p.pixel_first, p.inv_sigma2_first) <=
-              options_.chi2_gate &&
-          error_of(camera_, p.T_view_second * (inverse * p.p_first), p.pixel_view,
-                   p.inv_sigma2_view) <= options_.chi2_gate;
+      const bool good = error_of(camera_, s * p.p_second, p.pixel_first, p.inv_sigma2_first) <=
+                            options_.chi2_gate &&
+                        error_of(camera_, p.T_view_second * (inverse * p.p_first), p.pixel_view,
+                                 p.inv_sigma2_view) <= options_.chi2_gate;
       active_[i] = active_[i] && good;
       left += active_[i];
     }

@@ -11,8 +11,8 @@ namespace fastloop::optimization {
 
 /// One landmark that two maps (or two ends of a loop) know: its place and its pixel on either side.
 struct SimilarityPair {
-  Vector3d p_first = Vector3d::Zero();   ///< in the first camera's frame, metres
-  Vector3d p_second = Vector3d::Zero();  ///< in the second side's frame (a world)
+  Vector3d p_first = Vector3d::Zero();                    ///< in the first camera's frame, metres
+  Vector3d p_second = Vector3d::Zero();                   ///< in the second side's frame (a world)
   Eigen::Vector2d pixel_first = Eigen::Vector2d::Zero();  ///< in the first camera
   double inv_sigma2_first = 1;                            ///< 1 / pixels^2
   SE3 T_view_second;  ///< camera on the second side that saw the landmark
