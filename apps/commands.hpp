@@ -15,6 +15,7 @@ void add_run_command(CLI::App& app, int& exit_code);
 void add_doctor_command(CLI::App& app, int& exit_code);
 void add_posegraph_command(CLI::App& app, int& exit_code);
 void add_map_command(CLI::App& app, int& exit_code);
+void add_replay_command(CLI::App& app, int& exit_code);
 void add_simulate_map_command(CLI::App& app, int& exit_code);
 void add_simulate_posegraph_command(CLI::App& app, int& exit_code);
 void add_vocab_command(CLI::App& app, int& exit_code);

@@ -18,6 +18,7 @@ int main(int argc, char** argv) {
   apps::add_doctor_command(app, exit_code);
   apps::add_map_command(app, exit_code);
   apps::add_posegraph_command(app, exit_code);
+  apps::add_replay_command(app, exit_code);
   apps::add_run_command(app, exit_code);
   apps::add_simulate_command(app, exit_code);
   apps::add_simulate_map_command(app, exit_code);

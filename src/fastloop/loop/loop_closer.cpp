@@ -44,6 +44,12 @@ void LoopCloser::add_all(const map::Snapshot& snapshot) {
   for (std::size_t i = 0; i < ids.size(); ++i) database_.insert(ids[i], std::move(words[i]));
 }
 
+void LoopCloser::forget(KeyframeId keyframe) {
+  database_.erase(keyframe);
+  detector_.forget();
+  memory_ = {};
+}
+
 LoopCloser::Outcome LoopCloser::process(const map::Snapshot& snapshot, KeyframeId keyframe) {
   Outcome outcome;
   outcome.waiting_before = detector_.waiting();

@@ -32,6 +32,9 @@ class LoopCloser {
   void add(const map::Snapshot& snapshot, KeyframeId keyframe);
   /// The same for all keyframes of a map, on all cores unless the back end is the reference.
   void add_all(const map::Snapshot& snapshot);
+  /// Takes a keyframe out again, with all that was learnt from processing keyframes: as if none had
+  /// been processed.
+  void forget(KeyframeId keyframe);
   /// Takes a keyframe in and looks whether it closes a loop.
   Outcome process(const map::Snapshot& snapshot, KeyframeId keyframe);
   /// Tells what became of a correction.

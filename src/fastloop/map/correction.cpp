@@ -4,6 +4,8 @@
 #include <queue>
 #include <unordered_map>
 
+#include "fastloop/core/time.hpp"
+
 namespace fastloop::map {
 namespace {
 
@@ -268,7 +270,10 @@ Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionL
 CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
                                    const CorrectionLimits& limits) {
   CorrectionOutcome outcome;
-  if (Fault fault = find_fault(map, c, limits)) {
+  const Stopwatch watch;
+  const Fault fault = find_fault(map, c, limits);
+  outcome.times.check_ms = watch.elapsed_ms();
+  if (fault) {
     outcome.reason = *fault;
     return outcome;
   }
@@ -277,6 +282,7 @@ CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
     outcome.T_new_old = m.T_new_old;
     ++outcome.moved;
   }
+  outcome.times.poses_ms = watch.elapsed_ms() - outcome.times.check_ms;
   for (const CorrectedPoint& p : c.points)
     if (map.contains(p.landmark) && map.landmark(p.landmark).anchor == p.anchor)
       map.set_p_anchor(p.landmark, p.p_anchor);
@@ -304,6 +310,8 @@ CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
     map.note_frame_change();
   }
   outcome.applied = true;
+  outcome.times.landmarks_ms =
+      watch.elapsed_ms() - outcome.times.check_ms - outcome.times.poses_ms;
   return outcome;
 }
 

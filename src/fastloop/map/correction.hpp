@@ -70,6 +70,11 @@ struct CorrectionOutcome {
   std::size_t moved = 0;      ///< keyframes, those that arrived meanwhile included
   std::size_t merged = 0;     ///< landmarks that became one with another
   std::size_t observed = 0;   ///< new observations
+  struct Times {
+    double check_ms = 0;      ///< looking for a fault
+    double poses_ms = 0;
+    double landmarks_ms = 0;  ///< landmarks, observations, covisibility; joining of maps
+  } times;
 };
 
 /// Why a correction must not be applied to this map, in words: it was made for another version of
