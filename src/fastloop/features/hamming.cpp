@@ -1,5 +1,7 @@
 #include "fastloop/features/hamming.hpp"
 
+#include <algorithm>
+
 namespace fastloop {
 namespace {
 
@@ -37,6 +39,20 @@ NearestDescriptor nearest_portable(const Descriptor& query, Access at, std::size
   return best;
 }
 
+void runs_portable(std::span<const Descriptor> queries, const Descriptor* candidates,
+                   std::span<const DescriptorRun> runs, std::uint32_t* out) {
+  for (std::size_t q = 0; q < queries.size(); ++q) {
+    int best = NearestDescriptor::kNoDistance;
+    for (std::uint32_t k = runs[q].begin; k < runs[q].end; ++k) {
+      const int distance = hamming_distance(queries[q], candidates[k]);
+      if (distance < best) {
+        best = distance;
+        out[q] = k;
+      }
+    }
+  }
+}
+
 #if defined(__x86_64__) && defined(__GNUC__)
 
 __attribute__((target("popcnt"), always_inline)) inline int distance_popcnt(const Descriptor& a,
@@ -62,6 +78,23 @@ __attribute__((target("popcnt"))) NearestDescriptor nearest_popcnt(const Descrip
   return best;
 }
 
+__attribute__((target("popcnt"))) void runs_popcnt(std::span<const Descriptor> queries,
+                                                   const Descriptor* candidates,
+                                                   std::span<const DescriptorRun> runs,
+                                                   std::uint32_t* out) {
+  for (const DescriptorRun& run : runs)
+    for (std::uint32_t k = run.begin; k < run.end; k += 2) __builtin_prefetch(candidates + k);
+  for (std::size_t q = 0; q < queries.size(); ++q) {
+    // (distance, index) in one number: the smallest is the answer, without a branch.
+    std::uint64_t best = ~std::uint64_t{0};
+    for (std::uint32_t k = runs[q].begin; k < runs[q].end; ++k) {
+      const auto distance = static_cast<std::uint64_t>(distance_popcnt(queries[q], candidates[k]));
+      best = std::min(best, distance << 32 | k);
+    }
+    if (runs[q].begin < runs[q].end) out[q] = static_cast<std::uint32_t>(best);
+  }
+}
+
 bool has_popcnt() {
   static const bool supported = __builtin_cpu_supports("popcnt");
   return supported;
@@ -77,6 +110,12 @@ NearestDescriptor nearest(const Descriptor& query, Access at, std::size_t n) {
   return has_popcnt() ? nearest_popcnt(query, at, n) : nearest_portable(query, at, n);
 }
 
+void in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+             std::span<const DescriptorRun> runs, std::uint32_t* out) {
+  has_popcnt() ? runs_popcnt(queries, candidates, runs, out)
+               : runs_portable(queries, candidates, runs, out);
+}
+
 #else
 
 template <class Access>
@@ -87,6 +126,11 @@ void distances(const Descriptor& query, Access at, std::size_t n, std::uint16_t*
 template <class Access>
 NearestDescriptor nearest(const Descriptor& query, Access at, std::size_t n) {
   return nearest_portable(query, at, n);
+}
+
+void in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+             std::span<const DescriptorRun> runs, std::uint32_t* out) {
+  runs_portable(queries, candidates, runs, out);
 }
 
 #endif
@@ -113,7 +157,17 @@ NearestDescriptor nearest_descriptor(const Descriptor& query,
   return nearest(query, Sequence{candidates.data()}, candidates.size());
 }
 
+void nearest_in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+                     std::span<const DescriptorRun> runs, std::uint32_t* nearest) {
+  in_runs(queries, candidates, runs, nearest);
+}
+
 namespace reference {
+
+void nearest_in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+                     std::span<const DescriptorRun> runs, std::uint32_t* nearest) {
+  runs_portable(queries, candidates, runs, nearest);
+}
 
 void hamming_distances(const Descriptor& query, const Descriptor* candidates,
                        std::span<const std::uint16_t> indices, std::uint16_t* out) {

@@ -40,8 +40,22 @@ NearestDescriptor nearest_descriptor(const Descriptor& query, const Descriptor* 
 NearestDescriptor nearest_descriptor(const Descriptor& query,
                                      std::span<const Descriptor> candidates);
 
+/// Candidates [begin, end) of a list.
+struct DescriptorRun {
+  std::uint32_t begin = 0, end = 0;
+};
+
+/// For every query the nearest candidate of its own run (ties: the lower index), as an index into
+/// `candidates`; unchanged where the run is empty. Several queries at a time hide the time that
+/// candidates take to come from memory.
+/// @param[in,out] nearest  [queries.size()]
+void nearest_in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+                     std::span<const DescriptorRun> runs, std::uint32_t* nearest);
+
 /// The portable forms: what the functions above must equal bit for bit.
 namespace reference {
+void nearest_in_runs(std::span<const Descriptor> queries, const Descriptor* candidates,
+                     std::span<const DescriptorRun> runs, std::uint32_t* nearest);
 void hamming_distances(const Descriptor& query, const Descriptor* candidates,
                        std::span<const std::uint16_t> indices, std::uint16_t* out);
 NearestDescriptor nearest_descriptor(const Descriptor& query, const Descriptor* candidates,

@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <map>
+#include <tuple>
 #include <unordered_map>
+
+#include "fastloop/loop/flat_index.hpp"
 
 namespace fastloop::loop {
 namespace {
@@ -66,32 +69,86 @@ std::vector<KeyframeId> ascending(std::span<const KeyframeId> ids) {
 
 }  // namespace
 
+namespace {
+
+/// One observer of a group of landmarks that become one.
+struct Observer {
+  std::int32_t row;     ///< among the connected keyframes, or -1
+  std::uint32_t column; ///< among all observers
+  std::int32_t part;    ///< which landmark or new observation of its group it comes from
+};
+
+/// Part of a group: a landmark, or one keyframe that sees it from now on.
+struct Part {
+  LandmarkId winner, landmark;
+  KeyframeId keyframe;
+};
+
+std::vector<Part> parts_by_winner(const Fusion& fusion) {
+  std::vector<Part> parts;
+  parts.reserve(fusion.merges.size() + fusion.observations.size());
+  for (const map::LandmarkMerge& m : fusion.merges) parts.push_back({m.winner, m.loser, {}});
+  for (const map::NewObservation& o : fusion.observations)
+    parts.push_back({o.landmark, {}, o.keyframe});
+  std::sort(parts.begin(), parts.end(),
+            [](const Part& a, const Part& b) { return a.winner < b.winner; });
+  return parts;
+}
+
+}  // namespace
+
 std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
                                              std::span<const KeyframeId> connected,
                                              const Fusion& fusion, int min_shared) {
   const std::vector<KeyframeId> inside = ascending(connected);
-  const std::size_t slots = snapshot.keyframe_slots();
-  std::vector<int> gained(inside.size() * slots, 0);
-  const Groups groups(snapshot, fusion);
-  for (const auto& [landmark, parts] : groups.changed())
-    for (std::size_t p = 0; p < parts.size(); ++p)
-      for (const KeyframeId a : parts[p]) {
-        const int row = index_of(inside, a);
-        if (row < 0) continue;
-        int* counts = gained.data() + static_cast<std::size_t>(row) * slots;
-        for (std::size_t q = 0; q < parts.size(); ++q)
-          if (q != p)
-            for (const KeyframeId b : parts[q]) ++counts[b.value()];
-      }
+  const std::vector<Part> parts = parts_by_winner(fusion);
+  FlatIndex columns(1024);
+  std::vector<std::int32_t> row_of_column;
+  std::vector<Observer> observers;
+  std::vector<std::size_t> group_end;
+  const auto see = [&](KeyframeId id, std::int32_t part) {
+    const std::uint32_t column = columns.number_of(id.value());
+    if (column == row_of_column.size()) row_of_column.push_back(index_of(inside, id));
+    observers.push_back({row_of_column[column], column, part});
+  };
+  for (std::size_t i = 0; i < parts.size();) {
+    const LandmarkId winner = parts[i].winner;
+    std::int32_t part = 0;
+    for (const map::Observation& o : snapshot.landmark(winner).observations) see(o.keyframe, part);
+    for (; i < parts.size() && parts[i].winner == winner; ++i) {
+      ++part;
+      if (parts[i].keyframe.valid())
+        see(parts[i].keyframe, part);
+      else
+        for (const map::Observation& o : snapshot.landmark(parts[i].landmark).observations)
+          see(o.keyframe, part);
+    }
+    group_end.push_back(observers.size());
+  }
+  std::vector<int> gained(inside.size() * columns.size(), 0);
+  std::size_t begin = 0;
+  for (const std::size_t end : group_end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (observers[i].row < 0) continue;
+      int* row = gained.data() + static_cast<std::size_t>(observers[i].row) * columns.size();
+      for (std::size_t j = begin; j < end; ++j)
+        row[observers[j].column] += observers[j].part != observers[i].part;
+    }
+    begin = end;
+  }
   std::vector<LoopConnection> connections;
   for (std::size_t row = 0; row < inside.size(); ++row)
-    for (std::uint32_t b = 0; b < slots; ++b) {
-      const int more = gained[row * slots + b];
-      if (more == 0 || index_of(inside, KeyframeId(b)) >= 0) continue;
-      const int before = shared_before(snapshot, inside[row], KeyframeId(b));
+    for (std::size_t column = 0; column < columns.size(); ++column) {
+      const int more = gained[row * columns.size() + column];
+      if (more == 0 || row_of_column[column] >= 0) continue;
+      const KeyframeId other(columns.key(column));
+      const int before = shared_before(snapshot, inside[row], other);
       if (before < min_shared && before + more >= min_shared)
-        connections.push_back({inside[row], KeyframeId(b), before + more});
+        connections.push_back({inside[row], other, before + more});
     }
+  std::sort(connections.begin(), connections.end(), [](const auto& x, const auto& y) {
+    return std::tie(x.a, x.b) < std::tie(y.a, y.b);
+  });
   return connections;
 }
 
@@ -99,12 +156,22 @@ std::vector<LoopConnection> find_connections_reference(const Snapshot& snapshot,
                                                        std::span<const KeyframeId> connected,
                                                        const Fusion& fusion, int min_shared) {
   const std::vector<KeyframeId> inside = ascending(connected);
+  // As published: the neighbours of every connected keyframe are counted before the fusion and again
+  // after it, and the new ones are those that were none before.
+  std::vector<std::map<KeyframeId, int>> before;
+  for (const KeyframeId id : inside) {
+    auto& shared = before.emplace_back();
+    for (const LandmarkId l : snapshot.keyframe(id).landmarks)
+      if (l.valid())
+        for (const map::Observation& o : snapshot.landmark(l).observations) ++shared[o.keyframe];
+  }
   const Groups groups(snapshot, fusion);
   std::unordered_map<KeyframeId, std::vector<LandmarkId>> added;
   for (const map::NewObservation& o : fusion.observations) added[o.keyframe].push_back(o.landmark);
 
   std::vector<LoopConnection> connections;
-  for (const KeyframeId id : inside) {
+  for (std::size_t k = 0; k < inside.size(); ++k) {
+    const KeyframeId id = inside[k];
     std::map<KeyframeId, int> shared;
     const auto count = [&](LandmarkId landmark) {
       const auto it = groups.changed().find(landmark);
@@ -119,10 +186,11 @@ std::vector<LoopConnection> find_connections_reference(const Snapshot& snapshot,
     for (const LandmarkId l : snapshot.keyframe(id).landmarks)
       if (l.valid()) count(groups.winner(l));
     for (const LandmarkId l : added[id]) count(l);
-    for (const auto& [other, n] : shared)
-      if (other != id && n >= min_shared && index_of(inside, other) < 0 &&
-          shared_before(snapshot, id, other) < min_shared)
-        connections.push_back({id, other, n});
+    for (const auto& [other, n] : shared) {
+      if (other == id || n < min_shared || index_of(inside, other) >= 0) continue;
+      const auto was = before[k].find(other);
+      if (was == before[k].end() || was->second < min_shared) connections.push_back({id, other, n});
+    }
   }
   return connections;
 }

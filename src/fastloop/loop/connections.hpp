@@ -13,7 +13,7 @@ namespace fastloop::loop {
 ///
 /// Two ways to the same result, ordered by (a, b) with a in `connected`. The incremental one adds up
 /// what each merge and each new observation changes; the reference counts the landmarks of every
-/// keyframe anew.
+/// connected keyframe before the fusion and again after it, as published.
 std::vector<map::LoopConnection> find_connections(const map::Snapshot& snapshot,
                                                   std::span<const KeyframeId> connected,
                                                   const Fusion& fusion, int min_shared);

@@ -1,8 +1,10 @@
 #include "fastloop/loop/fusion.hpp"
 
 #include <algorithm>
+#include <array>
 #include <tuple>
-#include <unordered_map>
+
+#include "fastloop/loop/flat_index.hpp"
 
 namespace fastloop::loop {
 namespace {
@@ -11,70 +13,157 @@ using map::Snapshot;
 
 /// A keypoint that shows a landmark of the matched side.
 struct Claim {
-  int distance;  ///< Hamming; -1: confirmed by verification
-  KeyframeId keyframe;
+  std::uint32_t keyframe;  ///< index in the list of keyframes
   std::uint32_t keypoint;
   LandmarkId landmark;
-  auto key() const { return std::tie(distance, keyframe, keypoint, landmark); }
 };
 
-/// Sets of landmarks that are one, with the keyframes that see any of them.
+/// Sets of landmarks that are one, with the keyframes that see any of them. All lists lie one after
+/// another in one array; a list that grows is written anew at its end.
 class Groups {
  public:
-  explicit Groups(const Snapshot& snapshot) : snapshot_(snapshot) {}
+  Groups(const Snapshot& snapshot, std::size_t expected) : snapshot_(snapshot), node_(expected) {
+    parent_.reserve(expected);
+    list_.reserve(expected);
+    pool_.reserve(16 * expected);
+  }
 
-  std::size_t of(LandmarkId id) {
-    const auto [it, added] = node_.try_emplace(id, parent_.size());
-    if (added) {
-      parent_.push_back(it->second);
-      landmark_.push_back(id);
-      std::vector<KeyframeId> seen;
-      for (const map::Observation& o : snapshot_.landmark(id).observations)
-        seen.push_back(o.keyframe);
-      observers_.push_back(std::move(seen));
-    }
-    return root(it->second);
+  std::uint32_t of(LandmarkId id) {
+    const std::uint32_t node = node_.number_of(id.value());
+    if (node < parent_.size()) return root(node);
+    parent_.push_back(node);
+    const std::size_t begin = pool_.size();
+    for (const map::Observation& o : snapshot_.landmark(id).observations)
+      pool_.push_back(o.keyframe);
+    list_.push_back({begin, pool_.size()});
+    return node;
   }
-  bool sees(std::size_t group, KeyframeId keyframe) const {
-    return std::binary_search(observers_[group].begin(), observers_[group].end(), keyframe);
+  bool sees(std::uint32_t group, KeyframeId keyframe) const {
+    const auto [begin, end] = list_[group];
+    return std::binary_search(at(begin), at(end), keyframe);
   }
-  void add_observer(std::size_t group, KeyframeId keyframe) {
-    auto& seen = observers_[group];
-    seen.insert(std::lower_bound(seen.begin(), seen.end(), keyframe), keyframe);
+  void add_observer(std::uint32_t group, KeyframeId keyframe) {
+    const List old = list_[group];
+    const std::size_t begin = pool_.size();
+    pool_.resize(begin + old.end - old.begin + 1);
+    const auto middle = std::lower_bound(at(old.begin), at(old.end), keyframe);
+    auto out = std::copy(at(old.begin), middle, pool_.begin() + static_cast<std::ptrdiff_t>(begin));
+    *out++ = keyframe;
+    std::copy(middle, at(old.end), out);
+    list_[group] = {begin, pool_.size()};
   }
   /// Joins two groups unless a keyframe sees both.
-  bool join(std::size_t a, std::size_t b) {
-    if (a == b) return true;
-    auto &seen_a = observers_[a], &seen_b = observers_[b];
-    for (std::size_t i = 0, j = 0; i < seen_a.size() && j < seen_b.size();) {
-      if (seen_a[i] == seen_b[j]) return false;
-      seen_a[i] < seen_b[j] ? ++i : ++j;
+  void join(std::uint32_t a, std::uint32_t b) {
+    if (a == b) return;
+    const List x = list_[a], y = list_[b];
+    for (std::size_t i = x.begin, j = y.begin; i < x.end && j < y.end;) {
+      if (pool_[i] == pool_[j]) return;
+      pool_[i] < pool_[j] ? ++i : ++j;
     }
-    std::vector<KeyframeId> all(seen_a.size() + seen_b.size());
-    std::merge(seen_a.begin(), seen_a.end(), seen_b.begin(), seen_b.end(), all.begin());
-    seen_a = std::move(all);
-    seen_b.clear();
+    const std::size_t begin = pool_.size();
+    pool_.resize(begin + (x.end - x.begin) + (y.end - y.begin));
+    std::merge(at(x.begin), at(x.end), at(y.begin), at(y.end),
+               pool_.begin() + static_cast<std::ptrdiff_t>(begin));
+    list_[a] = {begin, pool_.size()};
     parent_[b] = a;
-    return true;
   }
-  const std::vector<LandmarkId>& landmarks() const { return landmark_; }
-
- private:
-  std::size_t root(std::size_t n) {
+  std::size_t size() const { return parent_.size(); }
+  LandmarkId landmark(std::size_t node) const { return LandmarkId(node_.key(node)); }
+  std::uint32_t root(std::uint32_t n) {
     while (parent_[n] != n) n = parent_[n] = parent_[parent_[n]];
     return n;
   }
 
+ private:
+  struct List {
+    std::size_t begin, end;
+  };
+  std::vector<KeyframeId>::const_iterator at(std::size_t i) const {
+    return pool_.begin() + static_cast<std::ptrdiff_t>(i);
+  }
+
   const Snapshot& snapshot_;
-  std::unordered_map<LandmarkId, std::size_t> node_;
-  std::vector<std::size_t> parent_;
-  std::vector<LandmarkId> landmark_;
-  std::vector<std::vector<KeyframeId>> observers_;  ///< of roots, ascending
+  FlatIndex node_;
+  std::vector<std::uint32_t> parent_;
+  std::vector<List> list_;  ///< of roots: observers, ascending
+  std::vector<KeyframeId> pool_;
 };
 
-std::vector<Claim> search(const Executor& executor, const Snapshot& snapshot,
-                          const LoopOptions& options, std::span<const MovedKeyframe> moved,
-                          const map::LandmarkArrays& cloud) {
+/// Keyframes that take part, ascending, and where each one's keypoints begin in a common list.
+struct Places {
+  std::vector<KeyframeId> keyframes;
+  std::vector<std::size_t> searched;  ///< [keyframes] index in `moved`, or its size
+  std::vector<std::size_t> first_keypoint;
+  std::size_t keypoints = 0;
+
+  Places(const Snapshot& snapshot, KeyframeId current, std::span<const MovedKeyframe> moved) {
+    std::vector<std::pair<KeyframeId, std::size_t>> all;
+    for (std::size_t t = 0; t < moved.size(); ++t) all.emplace_back(moved[t].keyframe, t);
+    if (std::none_of(all.begin(), all.end(), [&](const auto& p) { return p.first == current; }))
+      all.emplace_back(current, moved.size());
+    std::sort(all.begin(), all.end());
+    for (const auto& [id, t] : all) {
+      keyframes.push_back(id);
+      searched.push_back(t);
+      first_keypoint.push_back(keypoints);
+      keypoints += snapshot.keyframe(id).landmarks.size();
+    }
+  }
+};
+
+/// What was found, by distance, then keyframe, then keypoint: written into place, not sorted.
+std::vector<Claim> ordered_claims(const Snapshot& snapshot, const Places& places,
+                                  std::span<const matching::ProjectionMatches> found,
+                                  const map::LandmarkArrays& cloud) {
+  std::array<std::size_t, 258> next{};  // first place of each distance
+  for (const matching::ProjectionMatches& f : found)
+    for (std::size_t i = 0; i < cloud.size(); ++i)
+      next[f.distance[i] + 1u] += f.keypoint[i] != matching::kNoMatch;
+  for (std::size_t d = 1; d < next.size(); ++d) next[d] += next[d - 1];
+  std::vector<Claim> claims(next.back());
+  std::vector<std::int32_t> landmark_at;  // of one keyframe, [keypoints]
+  for (std::uint32_t k = 0; k < places.keyframes.size(); ++k) {
+    if (places.searched[k] == found.size()) continue;
+    const matching::ProjectionMatches& f = found[places.searched[k]];
+    landmark_at.assign(snapshot.keyframe(places.keyframes[k]).landmarks.size(), -1);
+    for (std::size_t i = 0; i < cloud.size(); ++i)
+      if (f.keypoint[i] != matching::kNoMatch)
+        landmark_at[static_cast<std::size_t>(f.keypoint[i])] = static_cast<std::int32_t>(i);
+    for (std::uint32_t p = 0; p < landmark_at.size(); ++p) {
+      if (landmark_at[p] < 0) continue;
+      const auto i = static_cast<std::size_t>(landmark_at[p]);
+      claims[next[f.distance[i]]++] = {k, p, cloud.ids[i]};
+    }
+  }
+  return claims;
+}
+
+/// The oldest landmark of a group stands for it: it belongs to the side that stays.
+void name_winners(Groups& groups, Fusion& fusion) {
+  std::vector<LandmarkId> winner(groups.size());
+  for (std::uint32_t n = 0; n < groups.size(); ++n) {
+    LandmarkId& w = winner[groups.root(n)];
+    w = std::min(w, groups.landmark(n));  // an invalid id is larger than all others
+  }
+  for (std::uint32_t n = 0; n < groups.size(); ++n)
+    if (const LandmarkId w = winner[groups.root(n)]; w != groups.landmark(n))
+      fusion.merges.push_back({groups.landmark(n), w});
+  for (map::NewObservation& o : fusion.observations) o.landmark = winner[groups.of(o.landmark)];
+  std::sort(fusion.merges.begin(), fusion.merges.end(),
+            [](const auto& a, const auto& b) { return a.loser < b.loser; });
+  std::sort(fusion.observations.begin(), fusion.observations.end(),
+            [](const auto& a, const auto& b) {
+              return std::tie(a.keyframe, a.keypoint) < std::tie(b.keyframe, b.keypoint);
+            });
+}
+
+}  // namespace
+
+std::vector<matching::ProjectionMatches> search_moved(const Executor& executor,
+                                                      const Snapshot& snapshot,
+                                                      const LoopOptions& options,
+                                                      std::span<const MovedKeyframe> moved,
+                                                      const map::LandmarkArrays& cloud) {
   std::vector<matching::SearchTarget> targets(moved.size());
   for (std::size_t t = 0; t < moved.size(); ++t) {
     targets[t].features = snapshot.keyframe(moved[t].keyframe).data->features.get();
@@ -86,56 +175,42 @@ std::vector<Claim> search(const Executor& executor, const Snapshot& snapshot,
   std::vector<matching::ProjectionMatches> found(moved.size());
   matching::search_by_projection(executor, snapshot.rig(), snapshot.scales(), targets, cloud.view(),
                                  rule, found);
-  std::vector<Claim> claims;
-  for (std::size_t t = 0; t < moved.size(); ++t)
-    for (std::size_t i = 0; i < cloud.size(); ++i)
-      if (found[t].keypoint[i] != matching::kNoMatch)
-        claims.push_back({found[t].distance[i], moved[t].keyframe,
-                          static_cast<std::uint32_t>(found[t].keypoint[i]), cloud.ids[i]});
-  return claims;
+  return found;
 }
-
-}  // namespace
 
 Fusion fuse_loop(const Executor& executor, const Snapshot& snapshot, const LoopOptions& options,
                  const RegionMatch& match, std::span<const MovedKeyframe> moved,
                  const map::LandmarkArrays& cloud) {
-  std::vector<Claim> claims = search(executor, snapshot, options, moved, cloud);
-  for (std::uint32_t i = 0; i < match.landmarks.size(); ++i)
-    if (match.landmarks[i].valid()) claims.push_back({-1, match.current, i, match.landmarks[i]});
-  std::sort(claims.begin(), claims.end(),
-            [](const Claim& a, const Claim& b) { return a.key() < b.key(); });
-
-  Groups groups(snapshot);
-  std::unordered_map<std::uint64_t, std::size_t> taken;  // (keyframe, keypoint) -> group seen there
+  if (executor.kind() == Executor::Kind::kReference)
+    return fuse_loop_reference(snapshot, options, match, moved, cloud);
+  const std::vector<matching::ProjectionMatches> found =
+      search_moved(executor, snapshot, options, moved, cloud);
+  const Places places(snapshot, match.current, moved);
+  Groups groups(snapshot, 4 * cloud.size());
+  std::vector<std::uint8_t> taken(places.keypoints, 0);
   Fusion fusion;
-  for (const Claim& c : claims) {
-    const std::size_t group = groups.of(c.landmark);
-    const LandmarkId there = snapshot.keyframe(c.keyframe).landmarks[c.keypoint];
+  const auto take = [&](const Claim& c) {
+    const std::uint32_t group = groups.of(c.landmark);
+    const KeyframeId keyframe = places.keyframes[c.keyframe];
+    const LandmarkId there = snapshot.keyframe(keyframe).landmarks[c.keypoint];
     if (there.valid()) {
       groups.join(group, groups.of(there));
-      continue;
+      return;
     }
-    const std::uint64_t place = std::uint64_t{c.keyframe.value()} << 32 | c.keypoint;
-    if (groups.sees(group, c.keyframe) || !taken.try_emplace(place, group).second) continue;
-    groups.add_observer(group, c.keyframe);
-    fusion.observations.push_back({c.landmark, c.keyframe, c.keypoint});
-  }
-
-  // The oldest landmark of a group stands for it: it belongs to the side that stays.
-  std::unordered_map<std::size_t, LandmarkId> winner;
-  for (const LandmarkId id : groups.landmarks()) {
-    const auto [it, added] = winner.try_emplace(groups.of(id), id);
-    if (!added) it->second = std::min(it->second, id);
-  }
-  for (const LandmarkId id : groups.landmarks())
-    if (const LandmarkId w = winner[groups.of(id)]; w != id) fusion.merges.push_back({id, w});
-  for (map::NewObservation& o : fusion.observations) o.landmark = winner[groups.of(o.landmark)];
-  std::sort(fusion.merges.begin(), fusion.merges.end(),
-            [](const auto& a, const auto& b) { return a.loser < b.loser; });
-  std::sort(fusion.observations.begin(), fusion.observations.end(), [](const auto& a, const auto& b) {
-    return std::tie(a.keyframe, a.keypoint) < std::tie(b.keyframe, b.keypoint);
-  });
+    std::uint8_t& occupied = taken[places.first_keypoint[c.keyframe] + c.keypoint];
+    if (occupied || groups.sees(group, keyframe)) return;
+    occupied = 1;
+    groups.add_observer(group, keyframe);
+    fusion.observations.push_back({c.landmark, keyframe, c.keypoint});
+  };
+  // What verification confirmed comes first.
+  const auto current = static_cast<std::uint32_t>(
+      std::lower_bound(places.keyframes.begin(), places.keyframes.end(), match.current) -
+      places.keyframes.begin());
+  for (std::uint32_t i = 0; i < match.landmarks.size(); ++i)
+    if (match.landmarks[i].valid()) take({current, i, match.landmarks[i]});
+  for (const Claim& c : ordered_claims(snapshot, places, found, cloud)) take(c);
+  name_winners(groups, fusion);
   return fusion;
 }
 

@@ -30,5 +30,17 @@ struct Fusion {
 Fusion fuse_loop(const Executor& executor, const map::Snapshot& snapshot, const LoopOptions& options,
                  const RegionMatch& match, std::span<const MovedKeyframe> moved,
                  const map::LandmarkArrays& cloud);
+/// The same with plain sorting and hash maps, one thread: what fuse_loop does with the reference
+/// executor.
+Fusion fuse_loop_reference(const map::Snapshot& snapshot, const LoopOptions& options,
+                           const RegionMatch& match, std::span<const MovedKeyframe> moved,
+                           const map::LandmarkArrays& cloud);
+
+/// The search of both. @return [moved]
+std::vector<matching::ProjectionMatches> search_moved(const Executor& executor,
+                                                      const map::Snapshot& snapshot,
+                                                      const LoopOptions& options,
+                                                      std::span<const MovedKeyframe> moved,
+                                                      const map::LandmarkArrays& cloud);
 
 }  // namespace fastloop::loop

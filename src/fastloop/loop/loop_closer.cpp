@@ -28,7 +28,8 @@ void LoopCloser::forget_removed(const map::Snapshot& snapshot, KeyframeId newest
 void LoopCloser::add(const map::Snapshot& snapshot, KeyframeId keyframe) {
   if (!snapshot.contains(keyframe) || database_.words(keyframe)) return;
   database_.insert(keyframe,
-                   database_.words_of(snapshot.keyframe(keyframe).data->features->descriptors));
+                   database_.words_of(snapshot.keyframe(keyframe).data->features->descriptors,
+                                      executor_of(backend_)));
 }
 
 void LoopCloser::add_all(const map::Snapshot& snapshot) {

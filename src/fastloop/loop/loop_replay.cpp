@@ -94,7 +94,9 @@ ReplayRun LoopReplay::run() {
   ReplayRun run;
   const Stopwatch watch;
   run.outcome = closer_->process(*snapshot_, request_.keyframe);
-  if (run.outcome.correction) run.applied = map::apply_correction(map, *run.outcome.correction);
+  if (run.outcome.correction) 
+    run.applied =
+        map::apply_correction(map, *run.outcome.correction, {}, executor_of(closer_->backend()));
   run.total_ms = run.total_without_graph_ms = watch.elapsed_ms();
   run.stages_ms = run.outcome.report.times_ms;
   for (const auto& [stage, ms] : run.stages_ms)
@@ -103,6 +105,7 @@ ReplayRun LoopReplay::run() {
     run.stages_ms.emplace_back("apply_check", run.applied.times.check_ms);
     run.stages_ms.emplace_back("apply_poses", run.applied.times.poses_ms);
     run.stages_ms.emplace_back("apply_landmarks", run.applied.times.landmarks_ms);
+    run.stages_ms.emplace_back("apply_covisibility", run.applied.times.covisibility_ms);
   }
   return run;
 }

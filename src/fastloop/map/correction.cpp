@@ -1,8 +1,9 @@
 #include "fastloop/map/correction.hpp"
 
 #include <algorithm>
+#include <array>
+#include <mutex>
 #include <queue>
-#include <unordered_map>
 
 #include "fastloop/core/time.hpp"
 
@@ -28,13 +29,17 @@ SE3 motion_of(const CorrectedState& s) {
 class Corrected {
  public:
   Corrected(const Snapshot& map, const LoopCorrection& c) : map_(map) {
-    for (const CorrectedState& s : c.states) motion_[s.keyframe] = motion_of(s);
+    before_.reserve(map.keyframe_slots());
+    for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i)
+      before_.push_back(map.T_world_body(KeyframeId(i)));
+    after_ = before_;
+    for (const CorrectedState& s : c.states) {
+      SE3& T = after_[s.keyframe.value()];
+      T = motion_of(s) * T;
+    }
   }
-  bool moves(KeyframeId id) const { return motion_.contains(id); }
-  SE3 T_world_body(KeyframeId id) const {
-    const auto it = motion_.find(id);
-    return it == motion_.end() ? map_.T_world_body(id) : it->second * map_.T_world_body(id);
-  }
+  const SE3& before(KeyframeId id) const { return before_[id.value()]; }
+  const SE3& T_world_body(KeyframeId id) const { return after_[id.value()]; }
   Vector3d p_world(LandmarkId id) const {
     const Landmark& l = map_.landmark(id);
     return T_world_body(l.anchor) * l.p_anchor;
@@ -42,17 +47,17 @@ class Corrected {
 
  private:
   const Snapshot& map_;
-  std::unordered_map<KeyframeId, SE3> motion_;
+  std::vector<SE3> before_, after_;  ///< [keyframe slots]
 };
 
 /// Reprojection error in pixels of octave 0; large when the camera cannot see the point.
-double error_px(const Snapshot& map, const SE3& T_world_body, const Vector3d& p_world,
-                KeyframeId keyframe, std::uint32_t keypoint) {
-  const Vector3d p = (T_world_body * map.rig().T_body_left).inverse() * p_world;
+double error_px(const Snapshot& map, const SE3& T_camera_world, const Vector3d& p_world,
+                const FeatureSet& f, std::uint32_t keypoint) {
+  const Vector3d p = T_camera_world * p_world;
   const Camera& camera = map.rig().left;
   if (!p.allFinite() || !camera.is_projectable(p)) return 1e6;
-  const FeatureSet& f = *map.keyframe(keyframe).data->features;
-  return (camera.project(p) - map.pixel(keyframe, keypoint).left).norm() /
+  const Eigen::Vector2d pixel(f.x[keypoint], f.y[keypoint]);
+  return (camera.project(p) - pixel).norm() /
          static_cast<double>(map.scales().scale[f.octave[keypoint]]);
 }
 
@@ -130,8 +135,9 @@ Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected&
   std::size_t total = 0, good = 0;
   const auto look = [&](const Vector3d& p, KeyframeId keyframe, std::uint32_t keypoint) {
     ++total;
-    good += error_px(map, corrected.T_world_body(keyframe), p, keyframe, keypoint) <=
-            limits.observation_gate_px;
+    const SE3 T_world_camera = corrected.T_world_body(keyframe) * map.rig().T_body_left;
+    good += error_px(map, T_world_camera.inverse(), p, *map.keyframe(keyframe).data->features,
+                     keypoint) <= limits.observation_gate_px;
   };
   for (const NewObservation& o : c.observations)
     if (map.contains(o.landmark) && map.contains(o.keyframe))
@@ -147,24 +153,52 @@ Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected&
   return std::nullopt;
 }
 
+/// Errors of a sample of a keyframe's landmarks that are anchored elsewhere.
+void sample_errors(const Snapshot& map, KeyframeId id, const Corrected& corrected,
+                   std::vector<double>& before, std::vector<double>& after) {
+  constexpr std::size_t kSamples = 16;  // tell as much as all of it; up to twice as many are taken
+  const Keyframe& k = map.keyframe(id);
+  const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / kSamples);
+  // All are asked for before the first is needed: they lie all over the memory.
+  std::array<std::pair<const Landmark*, std::uint32_t>, 2 * kSamples> sample;
+  std::size_t size = 0;
+  const FeatureSet& f = *k.data->features;
+  for (std::size_t i = 0; i < k.landmarks.size(); i += step) {
+    if (!k.landmarks[i].valid()) continue;
+    const Landmark* l = &map.landmark(k.landmarks[i]);
+    __builtin_prefetch(l);
+    __builtin_prefetch(&f.x[i]);
+    __builtin_prefetch(&f.y[i]);
+    __builtin_prefetch(&f.octave[i]);
+    sample[size++] = {l, static_cast<std::uint32_t>(i)};
+  }
+  const SE3& T_body_left = map.rig().T_body_left;
+  const SE3 was = (corrected.before(id) * T_body_left).inverse();
+  const SE3 is = (corrected.T_world_body(id) * T_body_left).inverse();
+  for (std::size_t i = 0; i < size; ++i) {
+    const auto& [l, keypoint] = sample[i];
+    if (l->anchor == id) continue;
+    before.push_back(error_px(map, was, corrected.before(l->anchor) * l->p_anchor, f, keypoint));
+    after.push_back(
+        error_px(map, is, corrected.T_world_body(l->anchor) * l->p_anchor, f, keypoint));
+  }
+}
+
 /// Observations across keyframes must fit about as well as before: a correction bends the map, it
 /// does not tear it.
 Fault check_growth(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
-                   const CorrectionLimits& limits) {
+                   const CorrectionLimits& limits, const Executor& executor) {
   std::vector<double> before, after;
-  for (const CorrectedState& s : c.states) {
-    if (!map.contains(s.keyframe)) continue;
-    const map::Keyframe& k = map.keyframe(s.keyframe);
-    // A sample of each keyframe tells as much as all of it.
-    const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / 16);
-    for (std::uint32_t i = 0; i < k.landmarks.size(); i += static_cast<std::uint32_t>(step)) {
-      const LandmarkId l = k.landmarks[i];
-      if (!l.valid() || map.landmark(l).anchor == s.keyframe) continue;
-      before.push_back(error_px(map, k.state.T_world_body, map.p_world(l), s.keyframe, i));
-      after.push_back(
-          error_px(map, corrected.T_world_body(s.keyframe), corrected.p_world(l), s.keyframe, i));
-    }
-  }
+  std::mutex mutex;
+  executor.for_ranges(c.states.size(), 64, [&](std::size_t begin, std::size_t end) {
+    std::vector<double> was, is;
+    for (; begin < end; ++begin)
+      if (map.contains(c.states[begin].keyframe))
+        sample_errors(map, c.states[begin].keyframe, corrected, was, is);
+    const std::lock_guard lock(mutex);
+    before.insert(before.end(), was.begin(), was.end());
+    after.insert(after.end(), is.begin(), is.end());
+  });
   if (before.empty()) return std::nullopt;
   const double was = median(before), is = median(after);
   if (is > std::max(limits.growth_floor_px, was) * limits.max_growth) {
@@ -176,8 +210,23 @@ Fault check_growth(const Snapshot& map, const LoopCorrection& c, const Corrected
   return std::nullopt;
 }
 
+/// Whether the spanning tree alone joins every moved keyframe to an end of the loop: the usual case,
+/// and quick to see. Parents are older than their children, but for merged maps.
+bool tree_connects(const Snapshot& map, const LoopCorrection& c) {
+  std::vector<KeyframeId> root(map.keyframe_slots());
+  for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i) {
+    const KeyframeId id(i), parent = map.keyframe(id).parent;
+    root[i] = map.contains(id) && parent < id && map.contains(parent) ? root[parent.value()] : id;
+  }
+  return std::all_of(c.states.begin(), c.states.end(), [&](const CorrectedState& s) {
+    const KeyframeId r = root[s.keyframe.value()];
+    return !map.contains(s.keyframe) || r == root[c.edge.a.value()] || r == root[c.edge.b.value()];
+  });
+}
+
 /// Every moved keyframe must hang together with an end of the loop.
-Fault check_connected(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected) {
+Fault check_connected(const Snapshot& map, const LoopCorrection& c) {
+  if (tree_connects(map, c)) return std::nullopt;
   std::vector<std::uint8_t> reached(map.keyframe_slots(), 0);
   std::queue<KeyframeId> queue;
   const auto visit = [&](KeyframeId id) {
@@ -207,7 +256,7 @@ Fault check_connected(const Snapshot& map, const LoopCorrection& c, const Correc
     for (const CovisibilityEdge& e : map.covisible(id)) visit(e.keyframe);
   }
   for (const CorrectedState& s : c.states)
-    if (map.contains(s.keyframe) && !reached[s.keyframe.value()] && corrected.moves(s.keyframe))
+    if (map.contains(s.keyframe) && !reached[s.keyframe.value()])
       return "keyframe " + name(s.keyframe) + " would be moved without a path to the loop";
   return std::nullopt;
 }
@@ -222,19 +271,21 @@ struct Motion {
 /// Motion of every live keyframe of the corrected maps, ascending.
 std::vector<Motion> motions(const Map& map, const LoopCorrection& c) {
   std::vector<Motion> all;
-  std::unordered_map<KeyframeId, const CorrectedState*> named;
-  for (const CorrectedState& s : c.states) named[s.keyframe] = &s;
+  all.reserve(map.num_keyframes());
+  auto named = c.states.begin();
   const KeyframeId newest = c.states.empty() ? KeyframeId(0) : c.states.back().keyframe;
-  std::unordered_map<MapId, SE3> latest;  // of each map, over removed keyframes, too
+  std::vector<std::optional<SE3>> latest(map.maps().size());  // over removed keyframes, too
   for (std::uint32_t i = 0; i < map.keyframe_slots(); ++i) {
     const KeyframeId id(i);
     const MapId of = map.keyframe(id).map;
     if (of != c.map && (c.kind != LoopCorrection::Kind::kMerge || of != c.merged)) continue;
-    if (const auto it = named.find(id); it != named.end()) {
-      latest[of] = motion_of(*it->second);
-      if (map.contains(id)) all.push_back({id, latest[of], it->second});
-    } else if (id > newest && map.contains(id) && latest.contains(of)) {
-      all.push_back({id, latest[of], nullptr});
+    std::optional<SE3>& motion = latest[of.value()];
+    if (named != c.states.end() && named->keyframe == id) {
+      motion = motion_of(*named);
+      if (map.contains(id)) all.push_back({id, *motion, &*named});
+      ++named;
+    } else if (id > newest && map.contains(id) && motion) {
+      all.push_back({id, *motion, nullptr});
     }
   }
   return all;
@@ -255,54 +306,44 @@ NavState moved(const NavState& now, const Motion& m) {
 
 }  // namespace
 
-Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionLimits& limits) {
+Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionLimits& limits,
+                 const Executor& executor) {
   if (Fault fault = check_names(map, c)) return fault;
   if (Fault fault = check_finite(c)) return fault;
   const Corrected corrected(map, c);
   if (c.kind != LoopCorrection::Kind::kAdjustment) {
     if (Fault fault = check_edge(map, c, corrected, limits)) return fault;
     if (Fault fault = check_added(map, c, corrected, limits)) return fault;
-    if (Fault fault = check_connected(map, c, corrected)) return fault;
+    if (Fault fault = check_connected(map, c)) return fault;
   }
-  return c.points.empty() ? check_growth(map, c, corrected, limits) : std::nullopt;
+  return c.points.empty() ? check_growth(map, c, corrected, limits, executor) : std::nullopt;
 }
 
 CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
-                                   const CorrectionLimits& limits) {
+                                   const CorrectionLimits& limits, const Executor& executor) {
   CorrectionOutcome outcome;
   const Stopwatch watch;
-  const Fault fault = find_fault(map, c, limits);
+  const Fault fault = find_fault(map, c, limits, executor);
   outcome.times.check_ms = watch.elapsed_ms();
   if (fault) {
     outcome.reason = *fault;
     return outcome;
   }
-  for (const Motion& m : motions(map, c)) {
-    map.set_state(m.keyframe, moved(map.keyframe(m.keyframe).state, m));
-    outcome.T_new_old = m.T_new_old;
-    ++outcome.moved;
-  }
+  const std::vector<Motion> motion = motions(map, c);
+  std::vector<std::pair<KeyframeId, NavState>> states;
+  states.reserve(motion.size());
+  for (const Motion& m : motion)
+    states.emplace_back(m.keyframe, moved(map.keyframe(m.keyframe).state, m));
+  map.set_states(executor, states);
+  outcome.moved = motion.size();
+  if (!motion.empty()) outcome.T_new_old = motion.back().T_new_old;
   outcome.times.poses_ms = watch.elapsed_ms() - outcome.times.check_ms;
   for (const CorrectedPoint& p : c.points)
     if (map.contains(p.landmark) && map.landmark(p.landmark).anchor == p.anchor)
       map.set_p_anchor(p.landmark, p.p_anchor);
-  std::vector<LandmarkId> touched;
-  for (const LandmarkMerge& m : c.merges) {
-    const LandmarkId loser = map.resolve(m.loser), winner = map.resolve(m.winner);
-    if (!loser.valid() || !winner.valid() || loser == winner) continue;
-    map.replace_landmark(loser, winner);
-    ++outcome.merged;
-  }
-  for (const NewObservation& o : c.observations) {
-    const LandmarkId id = map.resolve(o.landmark);
-    if (!id.valid() || !map.add_observation(id, o.keyframe, o.keypoint)) continue;
-    touched.push_back(id);
-    ++outcome.observed;
-  }
-  std::sort(touched.begin(), touched.end());
-  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
-  for (const LandmarkId id : touched)
-    if (map.contains(id)) map.refresh_landmark(id);
+  const Map::FusionOutcome fused = map.fuse_landmarks(executor, c.merges, c.observations);
+  outcome.merged = fused.merged;
+  outcome.observed = fused.observed;
   if (c.kind == LoopCorrection::Kind::kMerge)
     map.merge_maps(c.merged, c.map, c.edge.a);
   if (c.kind != LoopCorrection::Kind::kAdjustment) {
@@ -310,8 +351,9 @@ CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
     map.note_frame_change();
   }
   outcome.applied = true;
-  outcome.times.landmarks_ms =
-      watch.elapsed_ms() - outcome.times.check_ms - outcome.times.poses_ms;
+  outcome.times.covisibility_ms = fused.covisibility_ms;
+  outcome.times.landmarks_ms = watch.elapsed_ms() - outcome.times.check_ms -
+                               outcome.times.poses_ms - fused.covisibility_ms;
   return outcome;
 }
 

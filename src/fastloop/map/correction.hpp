@@ -22,16 +22,6 @@ struct CorrectedPoint {
   Vector3d p_anchor = Vector3d::Zero();
 };
 
-struct LandmarkMerge {
-  LandmarkId loser, winner;
-};
-
-struct NewObservation {
-  LandmarkId landmark;
-  KeyframeId keyframe;
-  std::uint32_t keypoint = 0;
-};
-
 /// What loop closing, map merging or a global adjustment wants changed. Plain data, computed from
 /// one snapshot and applied to the map as one transaction.
 struct LoopCorrection {
@@ -73,7 +63,10 @@ struct CorrectionOutcome {
   struct Times {
     double check_ms = 0;      ///< looking for a fault
     double poses_ms = 0;
-    double landmarks_ms = 0;  ///< landmarks, observations, covisibility; joining of maps
+    /// Joining landmarks, new observations; joining of maps. The reference does not tell covisibility
+    /// apart and counts it here.
+    double landmarks_ms = 0;
+    double covisibility_ms = 0;
   } times;
 };
 
@@ -81,12 +74,15 @@ struct CorrectionOutcome {
 /// the world frame, names what does not exist, is not finite, contradicts its own loop edge, fits the
 /// images worse than before, or moves a keyframe that no path joins to the loop. Reads only.
 std::optional<std::string> find_fault(const Snapshot& map, const LoopCorrection& correction,
-                                      const CorrectionLimits& limits = {});
+                                      const CorrectionLimits& limits = {},
+                                      const Executor& executor = Executor::cpu());
 
 /// Applies a correction completely or not at all. Keyframes that changed since the correction was
 /// computed are moved by the same rigid motion as the state it names; keyframes that arrived since
-/// follow the newest one it names before them. Landmarks follow their anchors.
+/// follow the newest one it names before them. Landmarks follow their anchors. The result does not
+/// depend on the executor; the reference joins landmarks one after another, as published.
 CorrectionOutcome apply_correction(Map& map, const LoopCorrection& correction,
-                                   const CorrectionLimits& limits = {});
+                                   const CorrectionLimits& limits = {},
+                                   const Executor& executor = Executor::cpu());
 
 }  // namespace fastloop::map

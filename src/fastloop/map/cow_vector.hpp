@@ -17,6 +17,8 @@ namespace fastloop {
 template <class T, std::size_t kChunkSize>
 class CowVector {
  public:
+  static constexpr std::size_t kItems = kChunkSize;  ///< of a chunk
+
   std::size_t size() const { return size_; }
   bool empty() const { return size_ == 0; }
 
@@ -24,7 +26,7 @@ class CowVector {
     return chunks_[i / kChunkSize]->items[i % kChunkSize];
   }
 
-  /// Writable element; clones its chunk when shared.
+  /// Writable element; clones its chunk when shared. Threads may write to different chunks.
   T& mutate(std::size_t i) {
     ChunkPointer& chunk = chunks_[i / kChunkSize];
     if (!chunk.unique()) chunk = ChunkPointer(new Chunk(*chunk));

@@ -54,6 +54,17 @@ struct Landmark {
   bool removed() const { return !anchor.valid(); }
 };
 
+/// Two landmarks that show the same point: the loser's observations become the winner's.
+struct LandmarkMerge {
+  LandmarkId loser, winner;
+};
+
+struct NewObservation {
+  LandmarkId landmark;
+  KeyframeId keyframe;
+  std::uint32_t keypoint = 0;
+};
+
 /// Number of landmarks shared with another keyframe.
 struct CovisibilityEdge {
   KeyframeId keyframe;

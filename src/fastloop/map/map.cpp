@@ -1,8 +1,10 @@
 #include "fastloop/map/map.hpp"
 
 #include <algorithm>
+#include <array>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/map/typical_descriptor.hpp"
 
 namespace fastloop::map {
 namespace {
@@ -176,7 +178,7 @@ void Map::remove_observation(LandmarkId id, KeyframeId keyframe_id, int min_obse
   ++version_;
 }
 
-void Map::replace_landmark(LandmarkId loser, LandmarkId winner) {
+void Map::replace_landmark(LandmarkId loser, LandmarkId winner, bool published_refresh) {
   if (loser == winner || !contains(loser) || !contains(winner)) return;
   const std::vector<Observation> observations = landmark(loser).observations;
   const std::uint32_t visible = landmark(loser).visible, found = landmark(loser).found;
@@ -184,11 +186,27 @@ void Map::replace_landmark(LandmarkId loser, LandmarkId winner) {
   landmarks_.mutate(loser.value()).replaced_by = winner;
   for (const Observation& o : observations) add_observation(winner, o.keyframe, o.keypoint);
   count_visible(winner, visible, found);
-  refresh_landmark(winner);
+  set_appearance(winner, appearance_of(winner, published_refresh));
 }
 
 void Map::set_state(KeyframeId id, const NavState& state) {
   keyframes_.mutate(id.value()).state = state;
+  ++version_;
+  ++pose_version_;
+}
+
+void Map::set_states(const Executor& executor,
+                     std::span<const std::pair<KeyframeId, NavState>> states) {
+  // A chunk of keyframes is one thread's alone, for it may have to be cloned.
+  constexpr std::size_t kChunk = Keyframes::kItems;
+  const std::size_t chunks = (keyframes_.size() + kChunk - 1) / kChunk;
+  executor.for_ranges(chunks, 16, [&](std::size_t begin, std::size_t end) {
+    auto it = std::lower_bound(
+        states.begin(), states.end(), begin * kChunk,
+        [](const auto& entry, std::size_t first) { return entry.first.value() < first; });
+    for (; it != states.end() && it->first.value() < end * kChunk; ++it)
+      keyframes_.mutate(it->first.value()).state = it->second;
+  });
   ++version_;
   ++pose_version_;
 }
@@ -265,52 +283,44 @@ void Map::set_imu(KeyframeId id, std::shared_ptr<const PreintegratedImu> imu) {
   ++version_;
 }
 
-void Map::refresh_landmark(LandmarkId id) {
+Map::Appearance Map::appearance_of(LandmarkId id, bool published) const {
   const Landmark& now = landmark(id);
   const Vector3d p = p_world(id);
-  // At most this many observers vote for the descriptor; the newest are the most like what comes
-  // next.
-  constexpr std::size_t kMaxVoters = 24;
+  // Not all observers vote for the descriptor; the newest are the most like what comes next.
   const std::size_t n = now.observations.size();
   const std::size_t voters = std::min(n, kMaxVoters);
-
-  std::vector<Descriptor> descriptors;
-  descriptors.reserve(voters);
+  std::array<Descriptor, kMaxVoters> descriptors;
   Vector3d normal_sum = Vector3d::Zero();
+  std::uint8_t octave = 0;
   for (std::size_t i = 0; i < n; ++i) {
     const Observation& o = now.observations[i];
-    normal_sum += (p - T_world_camera(o.keyframe).translation).normalized();
-    if (i + voters >= n)
-      descriptors.push_back(keyframe(o.keyframe).data->features->descriptors[o.keypoint]);
+    const Keyframe& k = keyframe(o.keyframe);
+    normal_sum += (p - k.state.T_world_body * rig_.T_body_left.translation).normalized();
+    if (i + voters >= n) descriptors[i + voters - n] = k.data->features->descriptors[o.keypoint];
+    if (o.keyframe == now.anchor) octave = k.data->features->octave[o.keypoint];
   }
-  std::size_t best = 0;
-  int best_median = 257;
-  std::vector<int> distances(descriptors.size());
-  for (std::size_t i = 0; i < descriptors.size(); ++i) {
-    for (std::size_t j = 0; j < descriptors.size(); ++j)
-      distances[j] = hamming_distance(descriptors[i], descriptors[j]);
-    const auto middle = distances.begin() + static_cast<std::ptrdiff_t>((distances.size() - 1) / 2);
-    std::nth_element(distances.begin(), middle, distances.end());
-    if (*middle < best_median) {
-      best_median = *middle;
-      best = i;
-    }
-  }
+  const std::span<const Descriptor> votes(descriptors.data(), voters);
+  const NavState& anchor = keyframe(now.anchor).state;
+  const double distance =
+      (p - anchor.T_world_body * rig_.T_body_left.translation).norm();
+  Appearance a;
+  a.descriptor =
+      votes[published ? reference::typical_descriptor(votes) : typical_descriptor(votes)];
+  a.normal_anchor =
+      (anchor.T_world_body.rotation.conjugate() * normal_sum.normalized()).cast<float>();
+  a.max_distance_m = static_cast<float>(distance * scales_.scale[octave]);
+  return a;
+}
 
-  const auto anchor_observation =
-      std::find_if(now.observations.begin(), now.observations.end(),
-                   [&](const Observation& o) { return o.keyframe == now.anchor; });
-  const std::uint8_t octave =
-      keyframe(now.anchor).data->features->octave[anchor_observation->keypoint];
-  const double distance = (p - T_world_camera(now.anchor).translation).norm();
-  const Eigen::Quaterniond R_world_anchor = keyframe(now.anchor).state.T_world_body.rotation;
-
+void Map::set_appearance(LandmarkId id, const Appearance& appearance) {
   Landmark& l = landmarks_.mutate(id.value());
-  l.descriptor = descriptors[best];
-  l.normal_anchor = (R_world_anchor.conjugate() * normal_sum.normalized()).cast<float>();
-  l.max_distance_m = static_cast<float>(distance * scales_.scale[octave]);
+  l.descriptor = appearance.descriptor;
+  l.normal_anchor = appearance.normal_anchor;
+  l.max_distance_m = appearance.max_distance_m;
   l.min_distance_m = l.max_distance_m / scales_.scale.back();
 }
+
+void Map::refresh_landmark(LandmarkId id) { set_appearance(id, appearance_of(id, false)); }
 
 void Map::count_visible(LandmarkId id, std::uint32_t visible, std::uint32_t found) {
   Landmark& l = landmarks_.mutate(id.value());

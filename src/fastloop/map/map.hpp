@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 
+#include "fastloop/compute/executor.hpp"
 #include "fastloop/map/snapshot.hpp"
 
 namespace fastloop::map {
@@ -43,9 +44,22 @@ class Map : public Snapshot {
   /// Removes the landmark as well when fewer than `min_observers` keyframes would be left.
   void remove_observation(LandmarkId id, KeyframeId keyframe, int min_observers = 1);
   /// Moves all observations of `loser` to `winner` where they do not collide, then removes `loser`.
-  void replace_landmark(LandmarkId loser, LandmarkId winner);
+  void replace_landmark(LandmarkId loser, LandmarkId winner, bool published_refresh = false);
+
+  struct FusionOutcome {
+    std::size_t merged = 0, observed = 0;
+    double landmarks_ms = 0, covisibility_ms = 0;  ///< the reference does not tell them apart
+  };
+  /// replace_landmark for every merge, then add_observation for every observation, in this order and
+  /// following earlier replacements. Every landmark is refreshed once at the end, and covisibility
+  /// changes in one go; the reference does it one by one, with the same result.
+  FusionOutcome fuse_landmarks(const Executor& executor, std::span<const LandmarkMerge> merges,
+                               std::span<const NewObservation> observations);
 
   void set_state(KeyframeId id, const NavState& state);
+  /// The same for several, ascending, on all cores.
+  void set_states(const Executor& executor,
+                  std::span<const std::pair<KeyframeId, NavState>> states);
   void set_p_world(LandmarkId id, const Vector3d& p_world);
   void set_p_anchor(LandmarkId id, const Vector3d& p_anchor);
   /// To be called after a change that moved a large part of a map at once; see frame_version().
@@ -75,6 +89,17 @@ class Map : public Snapshot {
   std::optional<std::string> find_inconsistency() const;
 
  private:
+  friend class LandmarkFusion;  // the working part of fuse_landmarks
+  /// What a landmark looks like, from its observations.
+  struct Appearance {
+    Descriptor descriptor;
+    Eigen::Vector3f normal_anchor;
+    float max_distance_m = 0;
+  };
+  Appearance appearance_of(LandmarkId id, bool published) const;
+  void set_appearance(LandmarkId id, const Appearance& appearance);
+  FusionOutcome fuse_landmarks_reference(std::span<const LandmarkMerge> merges,
+                                         std::span<const NewObservation> observations);
   void change_shared(KeyframeId a, KeyframeId b, int change);
   void relink_children(KeyframeId removed);
 };

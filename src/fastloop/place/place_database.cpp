@@ -8,19 +8,22 @@ namespace fastloop::place {
 PlaceDatabase::PlaceDatabase(const Vocabulary& vocabulary)
     : vocabulary_(vocabulary), index_(vocabulary.num_words()) {}
 
-PlaceDatabase::Words PlaceDatabase::words_of(std::span<const Descriptor> descriptors) const {
-  return std::make_shared<const BagOfWords>(vocabulary_.transform(descriptors));
+PlaceDatabase::Words PlaceDatabase::words_of(std::span<const Descriptor> descriptors,
+                                             const Executor& executor) const {
+  return std::make_shared<const BagOfWords>(vocabulary_.transform(descriptors, executor));
 }
 
 void PlaceDatabase::insert(KeyframeId keyframe, Words words) {
   const std::unique_lock lock(mutex_);
   index_.insert(keyframe, words->vector);
   words_[keyframe] = std::move(words);
+  ascending_.insert(std::upper_bound(ascending_.begin(), ascending_.end(), keyframe), keyframe);
 }
 
 bool PlaceDatabase::erase(KeyframeId keyframe) {
   const std::unique_lock lock(mutex_);
-  words_.erase(keyframe);
+  if (words_.erase(keyframe) > 0)
+    ascending_.erase(std::lower_bound(ascending_.begin(), ascending_.end(), keyframe));
   return index_.erase(keyframe);
 }
 
@@ -31,12 +34,8 @@ PlaceDatabase::Words PlaceDatabase::words(KeyframeId keyframe) const {
 }
 
 std::vector<KeyframeId> PlaceDatabase::keyframes() const {
-  std::vector<KeyframeId> ids;
   const std::shared_lock lock(mutex_);
-  ids.reserve(words_.size());
-  for (const auto& [id, words] : words_) ids.push_back(id);
-  std::sort(ids.begin(), ids.end());
-  return ids;
+  return ascending_;
 }
 
 std::vector<PlaceCandidate> PlaceDatabase::query(const BowVector& bow,

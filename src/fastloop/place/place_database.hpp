@@ -21,7 +21,8 @@ class PlaceDatabase {
   explicit PlaceDatabase(const Vocabulary& vocabulary);
 
   /// Words of an image; does not touch the database.
-  Words words_of(std::span<const Descriptor> descriptors) const;
+  Words words_of(std::span<const Descriptor> descriptors,
+                 const Executor& executor = Executor::cpu()) const;
 
   /// @throws InvalidArgument when the keyframe is there already
   void insert(KeyframeId keyframe, Words words);
@@ -40,6 +41,7 @@ class PlaceDatabase {
   mutable std::shared_mutex mutex_;
   InvertedIndex index_;
   std::unordered_map<KeyframeId, Words> words_;
+  std::vector<KeyframeId> ascending_;  ///< keys of words_
 };
 
 }  // namespace fastloop::place

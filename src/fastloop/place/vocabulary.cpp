@@ -1,6 +1,7 @@
 #include "fastloop/place/vocabulary.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <string>
 
@@ -30,9 +31,12 @@ void check_tree(const VocabularyTree& tree) {
   }
 }
 
-FeatureGroups group_keypoints(const std::vector<std::pair<std::uint32_t, std::uint16_t>>& sorted) {
+/// @param sorted  node << 16 | keypoint
+FeatureGroups group_keypoints(const std::vector<std::uint64_t>& sorted) {
   FeatureGroups groups;
-  for (const auto& [node, keypoint] : sorted) {
+  for (const std::uint64_t key : sorted) {
+    const auto node = static_cast<std::uint32_t>(key >> 16);
+    const auto keypoint = static_cast<std::uint16_t>(key & 0xffff);
     if (groups.node.empty() || groups.node.back() != node) {
       groups.node.push_back(node);
       groups.start.push_back(static_cast<std::uint32_t>(groups.indices.size()));
@@ -55,34 +59,55 @@ Vocabulary::Vocabulary(VocabularyTree tree) : tree_(std::move(tree)) {
   }
 }
 
-std::uint32_t Vocabulary::leaf_of(const Descriptor& descriptor, std::uint32_t* group_node) const {
-  std::uint32_t node = 0;
-  for (int level = 0; !tree_.is_leaf(node); ++level) {
-    const std::uint32_t begin = tree_.first_child[node], end = tree_.first_child[node + 1];
-    const std::span<const Descriptor> children(tree_.descriptor.data() + begin, end - begin);
-    node = begin + static_cast<std::uint32_t>(nearest_descriptor(descriptor, children).position);
-    if (level < kGroupLevel) *group_node = node;
+void Vocabulary::descend(std::span<const Descriptor> descriptors, bool reference,
+                         std::uint32_t* leaf, std::uint32_t* group_node) const {
+  // Some descriptors go down together, level by level.
+  constexpr std::size_t kTogether = 16;
+  std::array<DescriptorRun, kTogether> children;
+  for (std::size_t first = 0; first < descriptors.size(); first += kTogether) {
+    const auto some = descriptors.subspan(first, std::min(kTogether, descriptors.size() - first));
+    std::uint32_t *node = leaf + first, *group = group_node + first;
+    std::fill_n(node, some.size(), 0u);
+    std::fill_n(group, some.size(), 0u);
+    for (int level = 0;; ++level) {
+      bool inside = false;
+      for (std::size_t i = 0; i < some.size(); ++i) {
+        children[i] = {tree_.first_child[node[i]], tree_.first_child[node[i] + 1]};
+        inside |= children[i].begin < children[i].end;
+      }
+      if (!inside) break;
+      const std::span<const DescriptorRun> runs(children.data(), some.size());
+      reference ? reference::nearest_in_runs(some, tree_.descriptor.data(), runs, node)
+                : nearest_in_runs(some, tree_.descriptor.data(), runs, node);
+      if (level < kGroupLevel) std::copy_n(node, some.size(), group);
+    }
   }
-  return node;
 }
 
 std::uint32_t Vocabulary::word_of(const Descriptor& descriptor) const {
-  std::uint32_t group;
-  return word_of_node_[leaf_of(descriptor, &group)];
+  std::uint32_t leaf, group;
+  descend({&descriptor, 1}, false, &leaf, &group);
+  return word_of_node_[leaf];
 }
 
-BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors) const {
+BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors,
+                                 const Executor& executor) const {
   require(descriptors.size() <= 0xffff, "at most 65,535 descriptors");
+  const bool reference = executor.kind() == Executor::Kind::kReference;
+  std::vector<std::uint32_t> leaf(descriptors.size()), group(descriptors.size());
+  executor.for_ranges(descriptors.size(), 128, [&](std::size_t begin, std::size_t end) {
+    descend(descriptors.subspan(begin, end - begin), reference, leaf.data() + begin,
+            group.data() + begin);
+  });
   std::vector<std::uint32_t> words;
-  std::vector<std::pair<std::uint32_t, std::uint16_t>> grouped;
+  std::vector<std::uint64_t> grouped;  // group, then keypoint
   words.reserve(descriptors.size());
   grouped.reserve(descriptors.size());
   for (std::size_t i = 0; i < descriptors.size(); ++i) {
-    std::uint32_t group = 0;
-    const std::uint32_t word = word_of_node_[leaf_of(descriptors[i], &group)];
+    const std::uint32_t word = word_of_node_[leaf[i]];
     if (word_weight_[word] == 0) continue;
     words.push_back(word);
-    grouped.emplace_back(group, static_cast<std::uint16_t>(i));
+    grouped.push_back(std::uint64_t{group[i]} << 16 | i);
   }
   std::sort(words.begin(), words.end());
   std::sort(grouped.begin(), grouped.end());

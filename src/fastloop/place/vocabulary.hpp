@@ -4,6 +4,7 @@
 #include <span>
 #include <vector>
 
+#include "fastloop/compute/executor.hpp"
 #include "fastloop/features/feature_set.hpp"
 #include "fastloop/matching/bag_of_words.hpp"
 
@@ -48,10 +49,14 @@ class Vocabulary {
 
   /// Term frequency times inverse document frequency, L1-normalised. Words of weight zero are left
   /// out, and so are their keypoints in the groups. At most 65,535 descriptors.
-  BagOfWords transform(std::span<const Descriptor> descriptors) const;
+  /// The result does not depend on the executor; the reference descends with scalar distances.
+  BagOfWords transform(std::span<const Descriptor> descriptors,
+                       const Executor& executor = Executor::cpu()) const;
 
  private:
-  std::uint32_t leaf_of(const Descriptor& descriptor, std::uint32_t* group_node) const;
+  /// Leaves, and nodes at kGroupLevel on the way (or above, where that is the leaf).
+  void descend(std::span<const Descriptor> descriptors, bool reference, std::uint32_t* leaf,
+               std::uint32_t* group_node) const;
 
   VocabularyTree tree_;
   std::vector<std::uint32_t> word_of_node_;  ///< [nodes] of leaves, in node order
