@@ -74,7 +74,9 @@ ReplaySummary summarise(const std::vector<ReplayRun>& runs, Backend backend) {
 double ReplayRun::landmarks_and_covisibility_ms() const {
   double sum = 0;
   for (const auto& [stage, ms] : stages_ms)
-    if (stage == "landmarks" || stage == "connections" || stage == "apply_landmarks") sum += ms;
+    if (stage == "landmarks" || stage == "connections" || stage == "apply_landmarks" ||
+        stage == "apply_covisibility")
+      sum += ms;
   return sum;
 }
 

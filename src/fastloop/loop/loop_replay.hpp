@@ -18,13 +18,14 @@ namespace fastloop::loop {
 struct ReplayRun {
   LoopCloser::Outcome outcome;
   map::CorrectionOutcome applied;
-  /// Detection, correction and applying, the latter split into "apply_check", "apply_poses" and
-  /// "apply_landmarks". Names of the report's stages otherwise.
+  /// Detection, correction and applying, the latter split into "apply_check", "apply_poses",
+  /// "apply_landmarks" and "apply_covisibility". Names of the report's stages otherwise.
   std::vector<std::pair<std::string, double>> stages_ms;
   double total_ms = 0;
   double total_without_graph_ms = 0;  ///< without "graph_build" and "graph_solve"
 
-  /// Stages that make landmarks and covisibility follow: "landmarks", "connections", "apply_landmarks".
+  /// Stages that make landmarks and covisibility follow, joining of landmarks included: "landmarks",
+  /// "connections", "apply_landmarks", "apply_covisibility".
   double landmarks_and_covisibility_ms() const;
 };
 
