@@ -11,8 +11,9 @@ case "${1:-}" in
   -h | --help) sed -n '2,5s/^# \{0,1\}//p' scripts/demo.sh; exit 0 ;;
 esac
 out=${1:-out/demo}
-sequence=$out/room
+sequence=$out/ring
 result=$out/result
+without=$out/result_without_loops
 fastloop=build/release/fastloop
 
 fastloop_setup
@@ -21,15 +22,25 @@ fastloop_build release fastloop_app
 mkdir -p "$out"
 if [ ! -f "$sequence/.complete" ]; then
   rm -rf "$sequence"
-  echo "demo: simulating 20 s of stereo images and IMU"
-  "$fastloop" simulate room --seconds 20 --seed 1 --out "$sequence"
+  echo "demo: simulating 64 s of stereo images and IMU along a ring corridor"
+  "$fastloop" simulate ring --seed 1 --out "$sequence"
   touch "$sequence/.complete"
 fi
+truth=$sequence/mav0/state_groundtruth_estimate0/data.csv
+
+echo "demo: running SLAM without loop closing"
+"$fastloop" run "$sequence" --out "$without" --no-loop
+"$fastloop" eval "$truth" "$without/trajectory_body.txt" --json >"$without/evaluation.json"
 
 echo "demo: running SLAM"
-"$fastloop" run "$sequence" --out "$result"
-
-truth=$sequence/mav0/state_groundtruth_estimate0/data.csv
+rm -rf "$out/loops"
+"$fastloop" run "$sequence" --out "$result" --record-loops "$out/loops"
 "$fastloop" eval "$truth" "$result/trajectory_body.txt" --rpe 1 --json --plot "$result/error.svg" \
   >"$result/evaluation.json"
-python3 scripts/demo_table.py "$result"
+
+echo "demo: closing the recorded loop again with both back ends"
+for map in "$out"/loops/*.flmap; do
+  [ -f "$map" ] || continue
+  "$fastloop" replay "$map" --backend reference cpu --json >"$result/replay.json"
+done
+python3 scripts/demo_table.py "$result" "$without"

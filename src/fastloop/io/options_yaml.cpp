@@ -22,6 +22,13 @@ Setter into(float& field) {
 Setter into(int& field) {
   return [&field](const YamlNode& n) { field = n.integer(); };
 }
+Setter into(bool& field) {
+  return [&field](const YamlNode& n) {
+    const int value = n.integer();
+    if (value != 0 && value != 1) n.fail("must be 0 or 1", "0 or 1");
+    field = value == 1;
+  };
+}
 Setter into(std::size_t& field) {
   return [&field](const YamlNode& n) {
     const int value = n.integer();
@@ -46,7 +53,7 @@ void read_group(const YamlNode& root, const std::string& group, const Fields& fi
 }
 
 void read_options(const YamlNode& root, system::SystemOptions& o) {
-  root.allow_only({"system", "orb", "tracking", "mapping"});
+  root.allow_only({"system", "orb", "tracking", "mapping", "loops"});
   read_group(root, "system", {{"mapping_delay_frames", into(o.mapping_delay_frames)}});
   read_group(root, "orb",
              {{"num_features", into(o.orb.num_features)},
@@ -90,6 +97,23 @@ void read_options(const YamlNode& root, system::SystemOptions& o) {
               {"imu_min_seconds", into(m.imu_min_seconds)},
               {"imu_refine_first_s", into(m.imu_refine_first_s)},
               {"imu_refine_second_s", into(m.imu_refine_second_s)}});
+  auto& l = o.loops.loop;
+  read_group(root, "loops",
+             {{"adjust_globally", into(o.loops.adjust_globally)},
+              {"max_adjusted_keyframes", into(o.loops.max_adjusted_keyframes)},
+              {"min_keyframes", into(l.min_keyframes)},
+              {"candidates", into(l.candidates)},
+              {"ranked_candidates", into(l.ranked_candidates)},
+              {"min_matches", into(l.min_matches)},
+              {"min_wide_matches", into(l.min_wide_matches)},
+              {"min_narrow_matches", into(l.min_narrow_matches)},
+              {"min_covisible_matches", into(l.min_covisible_matches)},
+              {"confirmations", into(l.confirmations)},
+              {"max_tilt_rad", into(l.max_tilt_rad)},
+              {"max_yaw_rad", into(l.max_yaw_rad)},
+              {"max_drift_ratio", into(l.max_drift_ratio)},
+              {"max_drift_constant_m", into(l.max_drift_constant_m)},
+              {"graph_threads", into(l.graph_threads)}});
   try {
     o.validate();
   } catch (const InvalidArgument& e) {
