@@ -1,5 +1,7 @@
 #include "fastloop/io/run_output.hpp"
 
+#include <algorithm>
+#include <cstdlib>
 #include <exception>
 #include <fstream>
 #include <functional>
@@ -116,6 +118,26 @@ void write_loops(const std::filesystem::path& path, const system::System& system
   write_file(path, text);
 }
 
+/// Whether a correction delays tracking: frames within two seconds of one against all others.
+Json tracking_around_loops(const system::System& system) {
+  constexpr Nanoseconds kAround = 2'000'000'000;
+  std::vector<Nanoseconds> loops;
+  for (const system::LoopRecord& r : system.loops())
+    if (r.correction && r.correction->applied) loops.push_back(r.report.stamp_ns);
+  std::vector<double> around, elsewhere;
+  for (const system::FrameRecord& f : system.frames()) {
+    const bool near = std::any_of(loops.begin(), loops.end(), [&](Nanoseconds t) {
+      return std::abs(f.stamp_ns - t) <= kAround;
+    });
+    (near ? around : elsewhere).push_back(f.tracking_ms);
+  }
+  const StageStatistics a = summarize(around), e = summarize(elsewhere);
+  return {{"frames", a.count},
+          {"worst_ms", a.max_ms},
+          {"p99_elsewhere_ms", e.p99_ms},
+          {"worst_elsewhere_ms", e.max_ms}};
+}
+
 void write_timing(const std::filesystem::path& path, const system::System& system,
                   const RunFacts& facts) {
   Json stages = Json::object();
@@ -137,6 +159,7 @@ void write_timing(const std::filesystem::path& path, const system::System& syste
     fifths.push_back(summarize({begin, end}).p50_ms);
   }
   j["track_p50_ms_by_fifth"] = fifths;
+  j["track_around_loops"] = tracking_around_loops(system);
   write_file(path, j.dump(2) + "\n");
 }
 
