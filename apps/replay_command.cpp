@@ -62,8 +62,7 @@ Json truth_json(const Truth& truth, const map::Snapshot& map, const map::LoopEdg
       map.T_world_body(truth.matched).inverse() * map.T_world_body(edge.a) * edge.T_a_b;
   return {{"translation_m",
            (T_matched_current.translation - truth.T_matched_current.translation).norm()},
-          {"rotation_deg",
-           angle_between(T_matched_current, truth.T_matched_current) * 180 / M_PI}};
+          {"rotation_deg", angle_between(T_matched_current, truth.T_matched_current) * 180 / M_PI}};
 }
 
 Json candidate_json(const loop::CandidateReport& c) {
@@ -134,7 +133,8 @@ Json file_json(const std::string& file, const Arguments& a) {
          {"keyframes", snapshot->num_keyframes()},
          {"landmarks", snapshot->num_landmarks()},
          {"replays", Json::array()}};
-  for (const ReplaySummary& s : summaries) j["replays"].push_back(summary_json(s, *snapshot, truth));
+  for (const ReplaySummary& s : summaries)
+    j["replays"].push_back(summary_json(s, *snapshot, truth));
   if (summaries.size() < 2) return j;
   const ReplaySummary &first = summaries.front(), &last = summaries.back();
   j["comparison"] = {
@@ -213,7 +213,8 @@ void add_replay_command(CLI::App& app, int& exit_code) {
   CLI::App* command = app.add_subcommand(
       "replay", "Close a recorded loop again: decisions, correction, times of each stage");
   command->footer(
-      "Files come from fastloop run --record-loops or fastloop simulate-map. Back ends are repeated\n"
+      "Files come from fastloop run --record-loops or fastloop simulate-map. Back ends are "
+      "repeated\n"
       "in turn, after one unmeasured repetition of each.\n"
       "Example: fastloop simulate-map --keyframes 1000 --out /tmp/m.flmap && "
       "fastloop replay /tmp/m.flmap --backend all");

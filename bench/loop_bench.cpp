@@ -3,9 +3,9 @@
 #include "fastloop/loop/loop_replay.hpp"
 #include "fastloop/sim/map_worlds.hpp"
 
-/// Whole loop closing without graph optimisation (detection, correction, applying) on simulated maps,
-/// the published sequential way over ours. Both are repeated in turn in one run; pin the program to
-/// the cores it may use, with taskset say.
+/// Whole loop closing without graph optimisation (detection, correction, applying) on simulated
+/// maps, the published sequential way over ours. Both are repeated in turn in one run; pin the
+/// program to the cores it may use, with taskset say.
 namespace {
 
 using namespace fastloop;
@@ -40,8 +40,14 @@ void loop_closing(benchmark::State& state, bool fisheye) {
 }
 
 BENCHMARK_CAPTURE(loop_closing, pinhole, false)
-    ->Arg(300)->Arg(1000)->Arg(3000)->Iterations(1)->Unit(benchmark::kMillisecond);
+    ->Arg(300)
+    ->Arg(1000)
+    ->Arg(3000)
+    ->Iterations(1)
+    ->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(loop_closing, fisheye, true)
-    ->Arg(1000)->Iterations(1)->Unit(benchmark::kMillisecond);
+    ->Arg(1000)
+    ->Iterations(1)
+    ->Unit(benchmark::kMillisecond);
 
 }  // namespace

@@ -1,6 +1,6 @@
-// Closes a loop without a SLAM front end: a host program that has keyframes of its own feeds them to
-// loop::LoopCloser and applies the correction it returns. Here the keyframes are those of a simulated
-// map whose last one has come back to where the run began.
+// Closes a loop without a SLAM front end: a host program that has keyframes of its own feeds them
+// to loop::LoopCloser and applies the correction it returns. Here the keyframes are those of a
+// simulated map whose last one has come back to where the run began.
 #include <cstdio>
 
 #include "fastloop/loop/loop_closer.hpp"
@@ -39,8 +39,9 @@ int main() {
       continue;
     }
     ++closed;
-    std::printf("keyframe %u sees the place of keyframe %u: %zu keyframes moved, %zu landmarks joined\n",
-                i, outcome.correction->edge.a.value(), applied.moved, applied.merged);
+    std::printf(
+        "keyframe %u sees the place of keyframe %u: %zu keyframes moved, %zu landmarks joined\n", i,
+        outcome.correction->edge.a.value(), applied.moved, applied.merged);
   }
   const double after = error_m(world);
   std::printf("error of the last keyframe: %.3f m before, %.3f m after\n", before, after);

@@ -58,6 +58,28 @@ TEST(Hamming, BatchEqualsPortableForm) {
   }
 }
 
+TEST(Hamming, NearestInRunsIsThatOfTheReference) {
+  std::mt19937_64 rng(5);
+  std::vector<Descriptor> candidates(200), queries(40);
+  for (Descriptor& d : candidates) d = random_descriptor(rng);
+  for (Descriptor& d : queries) d = random_descriptor(rng);
+  candidates[31] = candidates[30];
+  queries[0] = candidates[30];
+  std::vector<DescriptorRun> runs(queries.size());
+  for (DescriptorRun& r : runs) {
+    r.begin = static_cast<std::uint32_t>(rng() % 190);
+    r.end = r.begin + static_cast<std::uint32_t>(rng() % 11);
+  }
+  runs[0] = {20, 40};
+  runs[1] = {7, 7};
+  std::vector<std::uint32_t> ours(queries.size(), 999), expected(queries.size(), 999);
+  nearest_in_runs(queries, candidates.data(), runs, ours.data());
+  reference::nearest_in_runs(queries, candidates.data(), runs, expected.data());
+  EXPECT_EQ(ours, expected);
+  EXPECT_EQ(ours[0], 30u);
+  EXPECT_EQ(ours[1], 999u);
+}
+
 TEST(Hamming, NearestTakesTheFirstOfEqualsAndCountsItsTwinAsSecond) {
   std::mt19937_64 rng(3);
   const Descriptor query = random_descriptor(rng);

@@ -45,7 +45,9 @@ class Digest {
 };
 
 /// A gate that counts; the others compare lengths and angles, and name their unit.
-bool is_count(const std::string& gate) { return !gate.ends_with(" m") && !gate.ends_with(" rad"); }
+bool is_count(const std::string& gate) {
+  return !gate.ends_with(" m") && !gate.ends_with(" rad");
+}
 
 ReplaySummary summarise(const std::vector<ReplayRun>& runs, Backend backend) {
   ReplaySummary s;
@@ -96,7 +98,7 @@ ReplayRun LoopReplay::run() {
   ReplayRun run;
   const Stopwatch watch;
   run.outcome = closer_->process(*snapshot_, request_.keyframe);
-  if (run.outcome.correction) 
+  if (run.outcome.correction)
     run.applied =
         map::apply_correction(map, *run.outcome.correction, {}, executor_of(closer_->backend()));
   run.total_ms = run.total_without_graph_ms = watch.elapsed_ms();

@@ -24,8 +24,8 @@ struct ReplayRun {
   double total_ms = 0;
   double total_without_graph_ms = 0;  ///< without "graph_build" and "graph_solve"
 
-  /// Stages that make landmarks and covisibility follow, joining of landmarks included: "landmarks",
-  /// "connections", "apply_landmarks", "apply_covisibility".
+  /// Stages that make landmarks and covisibility follow, joining of landmarks included:
+  /// "landmarks", "connections", "apply_landmarks", "apply_covisibility".
   double landmarks_and_covisibility_ms() const;
 };
 
@@ -36,7 +36,8 @@ class LoopReplay {
   LoopReplay(std::shared_ptr<const map::Snapshot> snapshot, const LoopRequest& request,
              Backend backend, LoopOptions options = {});
 
-  /// Detects, computes the correction and applies it to a copy of the map, as if for the first time.
+  /// Detects, computes the correction and applies it to a copy of the map, as if for the first
+  /// time.
   ReplayRun run();
   Backend backend() const { return closer_->backend(); }
 
@@ -62,8 +63,8 @@ std::vector<ReplaySummary> repeat_replays(std::span<LoopReplay> replays, int rep
 /// All integers of the decision: verdicts, candidates, counts, joined landmarks, new observations,
 /// moved keyframes. Equal for all back ends.
 std::uint64_t decision_digest(const LoopCloser::Outcome& outcome);
-/// The corrected poses, rounded to 1e-5. Two solvers may differ by less and still round differently;
-/// see largest_pose_difference.
+/// The corrected poses, rounded to 1e-5. Two solvers may differ by less and still round
+/// differently; see largest_pose_difference.
 std::uint64_t pose_digest(const LoopCloser::Outcome& outcome);
 /// Between the corrected poses of two outcomes with the same keyframes: the larger of metres and
 /// radians; infinite when the keyframes differ.

@@ -60,12 +60,15 @@ class SharedChanges {
   std::vector<std::int32_t> change_;  ///< [keyframes_ x keyframes_]
 };
 
-bool earlier(const Observation& a, const Observation& b) { return a.keyframe < b.keyframe; }
+bool earlier(const Observation& a, const Observation& b) {
+  return a.keyframe < b.keyframe;
+}
 
 /// The observations of two landmarks, split by whether the winner may take the loser's.
 struct JoinedObservations {
   std::vector<Observation> moved, refused, all;
-  JoinedObservations(const std::vector<Observation>& loser, const std::vector<Observation>& winner) {
+  JoinedObservations(const std::vector<Observation>& loser,
+                     const std::vector<Observation>& winner) {
     std::set_difference(loser.begin(), loser.end(), winner.begin(), winner.end(),
                         std::back_inserter(moved), earlier);
     if (moved.size() < loser.size())
@@ -121,8 +124,8 @@ class LandmarkFusion {
     if (std::binary_search(present.begin(), present.end(), added, earlier)) return false;
     changes_.add(keyframe, present, +1);
     auto& observations = map_.landmarks_.mutate(id.value()).observations;
-    observations.insert(
-        std::upper_bound(observations.begin(), observations.end(), added, earlier), added);
+    observations.insert(std::upper_bound(observations.begin(), observations.end(), added, earlier),
+                        added);
     map_.keyframes_.mutate(keyframe.value()).landmarks[keypoint] = id;
     touched_.push_back(id);
     return true;
@@ -167,8 +170,7 @@ class LandmarkFusion {
     std::size_t i = 0, j = 0;
     while (i < before.size() || j < changes.size()) {
       CovisibilityEdge e;
-      if (j == changes.size() ||
-          (i < before.size() && before[i].keyframe < changes[j].keyframe)) {
+      if (j == changes.size() || (i < before.size() && before[i].keyframe < changes[j].keyframe)) {
         e = before[i++];
       } else {
         e = changes[j++];
