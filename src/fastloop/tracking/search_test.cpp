@@ -196,7 +196,7 @@ TEST_F(Search, RelocaliserAsksItsSource) {
   relocaliser.set_candidate_source(
       [](const FeatureSet&, const map::Snapshot&) { return std::vector{KeyframeId(7)}; });
   const SyntheticView view = observe(world, m.truth[7], {}, rng);
-  const auto found = relocaliser.relocalise(m.map, *view.features, m.id, KeyframeId(0), 15);
+  const auto found = relocaliser.relocalise(m.map, *view.features, m.id, KeyframeId{}, 15);
   ASSERT_TRUE(found);
   EXPECT_EQ(found->keyframe, KeyframeId(7));
 }
