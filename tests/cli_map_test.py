@@ -5,18 +5,18 @@ Usage: cli_map_test.py PROGRAM
 """
 import json
 import pathlib
-import subprocess
 import sys
 import tempfile
 import unittest
+
+from cli_support import call_program
 
 PROGRAM = sys.argv[1]
 SMALL = ("--keyframes", 150, "--covisible", 12, "--features", 200)
 
 
 def call(*arguments):
-    return subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=120,
-                          stdin=subprocess.DEVNULL, check=False)
+    return call_program(PROGRAM, *arguments)
 
 
 class MapFiles(unittest.TestCase):

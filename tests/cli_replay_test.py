@@ -5,17 +5,17 @@ Usage: cli_replay_test.py PROGRAM
 """
 import json
 import pathlib
-import subprocess
 import sys
 import tempfile
 import unittest
+
+from cli_support import call_program
 
 PROGRAM = sys.argv[1]
 
 
 def call(*arguments):
-    return subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=120,
-                          stdin=subprocess.DEVNULL, check=False)
+    return call_program(PROGRAM, *arguments)
 
 
 class Replay(unittest.TestCase):

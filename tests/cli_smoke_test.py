@@ -6,10 +6,11 @@ Usage: cli_smoke_test.py PROGRAM REPOSITORY
 import json
 import pathlib
 import re
-import subprocess
 import sys
 import tempfile
 import unittest
+
+from cli_support import call_program
 
 PROGRAM, REPOSITORY = sys.argv[1], pathlib.Path(sys.argv[2])
 TESTDATA = REPOSITORY / "src/fastloop/eval/testdata"
@@ -17,8 +18,7 @@ TRUTH, ESTIMATE = str(TESTDATA / "groundtruth.csv"), str(TESTDATA / "estimate.tx
 
 
 def call(*arguments):
-    return subprocess.run([PROGRAM, *map(str, arguments)], capture_output=True, text=True, timeout=120,
-                          stdin=subprocess.DEVNULL, check=False)
+    return call_program(PROGRAM, *arguments)
 
 
 def commands():

@@ -13,14 +13,6 @@ namespace {
 using map::LoopConnection;
 using map::Snapshot;
 
-int shared_before(const Snapshot& snapshot, KeyframeId a, KeyframeId b) {
-  const auto& edges = snapshot.covisible(a);
-  const auto it =
-      std::lower_bound(edges.begin(), edges.end(), b,
-                       [](const map::CovisibilityEdge& e, KeyframeId id) { return e.keyframe < id; });
-  return it != edges.end() && it->keyframe == b ? it->shared : 0;
-}
-
 /// Observers of a landmark after the fusion, in the parts they come from: one part for each landmark
 /// of its group, and one keyframe for each new observation.
 class Groups {
@@ -66,10 +58,6 @@ std::vector<KeyframeId> ascending(std::span<const KeyframeId> ids) {
   std::sort(sorted.begin(), sorted.end());
   return sorted;
 }
-
-}  // namespace
-
-namespace {
 
 /// One observer of a group of landmarks that become one.
 struct Observer {
@@ -142,7 +130,7 @@ std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
       const int more = gained[row * columns.size() + column];
       if (more == 0 || row_of_column[column] >= 0) continue;
       const KeyframeId other(columns.key(column));
-      const int before = shared_before(snapshot, inside[row], other);
+      const int before = snapshot.num_shared(inside[row], other);
       if (before < min_shared && before + more >= min_shared)
         connections.push_back({inside[row], other, before + more});
     }

@@ -159,32 +159,14 @@ void name_winners(Groups& groups, Fusion& fusion) {
 
 }  // namespace
 
-std::vector<matching::ProjectionMatches> search_moved(const Executor& executor,
-                                                      const Snapshot& snapshot,
-                                                      const LoopOptions& options,
-                                                      std::span<const MovedKeyframe> moved,
-                                                      const map::LandmarkArrays& cloud) {
-  std::vector<matching::SearchTarget> targets(moved.size());
-  for (std::size_t t = 0; t < moved.size(); ++t) {
-    targets[t].features = snapshot.keyframe(moved[t].keyframe).data->features.get();
-    targets[t].T_camera_world = moved[t].T_camera_world;
-  }
-  matching::ProjectionSearchOptions rule;
-  rule.radius_px = options.fusion_radius_px;
-  rule.max_distance = options.fusion_max_distance;
-  std::vector<matching::ProjectionMatches> found(moved.size());
-  matching::search_by_projection(executor, snapshot.rig(), snapshot.scales(), targets, cloud.view(),
-                                 rule, found);
-  return found;
-}
-
 Fusion fuse_loop(const Executor& executor, const Snapshot& snapshot, const LoopOptions& options,
                  const RegionMatch& match, std::span<const MovedKeyframe> moved,
                  const map::LandmarkArrays& cloud) {
   if (executor.kind() == Executor::Kind::kReference)
     return fuse_loop_reference(snapshot, options, match, moved, cloud);
   const std::vector<matching::ProjectionMatches> found =
-      search_moved(executor, snapshot, options, moved, cloud);
+      search_keyframes(executor, snapshot, moved, cloud, options.fusion_radius_px,
+                       options.fusion_max_distance);
   const Places places(snapshot, match.current, moved);
   Groups groups(snapshot, 4 * cloud.size());
   std::vector<std::uint8_t> taken(places.keypoints, 0);

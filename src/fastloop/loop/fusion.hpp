@@ -3,19 +3,12 @@
 #include <span>
 #include <vector>
 
-#include "fastloop/compute/executor.hpp"
+#include "fastloop/loop/keyframe_search.hpp"
 #include "fastloop/loop/options.hpp"
 #include "fastloop/loop/region_match.hpp"
 #include "fastloop/map/correction.hpp"
-#include "fastloop/map/landmark_arrays.hpp"
 
 namespace fastloop::loop {
-
-/// A keyframe around the current one where the loop puts it.
-struct MovedKeyframe {
-  KeyframeId keyframe;
-  SE3 T_camera_world;  ///< left camera, corrected
-};
 
 /// What becomes one landmark, and who sees what from now on.
 struct Fusion {
@@ -35,12 +28,5 @@ Fusion fuse_loop(const Executor& executor, const map::Snapshot& snapshot, const 
 Fusion fuse_loop_reference(const map::Snapshot& snapshot, const LoopOptions& options,
                            const RegionMatch& match, std::span<const MovedKeyframe> moved,
                            const map::LandmarkArrays& cloud);
-
-/// The search of both. @return [moved]
-std::vector<matching::ProjectionMatches> search_moved(const Executor& executor,
-                                                      const map::Snapshot& snapshot,
-                                                      const LoopOptions& options,
-                                                      std::span<const MovedKeyframe> moved,
-                                                      const map::LandmarkArrays& cloud);
 
 }  // namespace fastloop::loop

@@ -75,7 +75,8 @@ class Groups {
 std::vector<Claim> search(const Snapshot& snapshot, const LoopOptions& options,
                           std::span<const MovedKeyframe> moved, const map::LandmarkArrays& cloud) {
   const std::vector<matching::ProjectionMatches> found =
-      search_moved(Executor::reference(), snapshot, options, moved, cloud);
+      search_keyframes(Executor::reference(), snapshot, moved, cloud, options.fusion_radius_px,
+                       options.fusion_max_distance);
   std::vector<Claim> claims;
   for (std::size_t t = 0; t < moved.size(); ++t)
     for (std::size_t i = 0; i < cloud.size(); ++i)

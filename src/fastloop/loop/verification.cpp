@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "fastloop/loop/correspondences.hpp"
+#include "fastloop/loop/keyframe_search.hpp"
 #include "fastloop/loop/similarity_ransac.hpp"
 #include "fastloop/matching/descriptor_matching.hpp"
 
@@ -44,16 +45,9 @@ matching::ProjectionMatches Verifier::search(const Snapshot& snapshot, KeyframeI
                                              const SE3& T_camera_world,
                                              const LandmarkArrays& cloud, float radius_px,
                                              int max_distance) const {
-  matching::SearchTarget t;
-  t.features = snapshot.keyframe(target).data->features.get();
-  t.T_camera_world = T_camera_world;
-  matching::ProjectionSearchOptions rule;
-  rule.radius_px = radius_px;
-  rule.max_distance = max_distance;
-  matching::ProjectionMatches matches;
-  matching::search_by_projection(executor_, snapshot.rig(), snapshot.scales(), {&t, 1},
-                                 cloud.view(), rule, {&matches, 1});
-  return matches;
+  const MovedKeyframe one{target, T_camera_world};
+  return std::move(
+      search_keyframes(executor_, snapshot, {&one, 1}, cloud, radius_px, max_distance).front());
 }
 
 void Verifier::match_windows(const Snapshot& snapshot, KeyframeId current,
@@ -156,24 +150,17 @@ void Verifier::confirm(const Snapshot& snapshot, KeyframeId current, Hypothesis&
   const SE3 T_world_current = snapshot.T_world_camera(current);
   const std::vector<KeyframeId> others =
       snapshot.best_covisible(current, o.window_covisibles, o.min_connection);
-  matching::ProjectionSearchOptions rule;
-  rule.radius_px = o.covisible_radius_px;
-  rule.max_distance = o.covisible_max_distance;
   // As many keyframes at a time as confirmations are missing: they are searched in one go.
   int agreed = 0;
   for (std::size_t next = 0; next < others.size() && agreed < o.confirmations;) {
     const std::size_t n = std::min(others.size() - next,
                                    static_cast<std::size_t>(o.confirmations - agreed));
-    std::vector<matching::SearchTarget> targets(n);
-    for (std::size_t i = 0; i < n; ++i) {
-      const KeyframeId id = others[next + i];
-      targets[i].features = snapshot.keyframe(id).data->features.get();
-      targets[i].T_camera_world =
-          snapshot.T_world_camera(id).inverse() * T_world_current * h.T_camera_world;
-    }
-    std::vector<matching::ProjectionMatches> found(n);
-    matching::search_by_projection(executor_, snapshot.rig(), snapshot.scales(), targets,
-                                   h.cloud.view(), rule, found);
+    std::vector<MovedKeyframe> moved;
+    for (std::size_t i = next; i < next + n; ++i)
+      moved.push_back({others[i], snapshot.T_world_camera(others[i]).inverse() * T_world_current *
+                                      h.T_camera_world});
+    const auto found = search_keyframes(executor_, snapshot, moved, h.cloud, o.covisible_radius_px,
+                                        o.covisible_max_distance);
     for (const auto& f : found) agreed += f.count >= o.min_covisible_matches;
     next += n;
   }
@@ -185,11 +172,8 @@ void Verifier::verify(const Snapshot& snapshot, KeyframeId current,
                       const place::PlaceDatabase& database, std::span<Verified> verified,
                       StageClock& clock) const {
   std::vector<Hypothesis> hypotheses(verified.size());
-  const auto& connected = snapshot.covisible(current);
   const auto is_connected = [&](KeyframeId id) {
-    return id == current || std::any_of(connected.begin(), connected.end(), [&](const auto& e) {
-             return e.keyframe == id && e.shared >= options_.min_connection;
-           });
+    return id == current || snapshot.num_shared(current, id) >= options_.min_connection;
   };
   for (std::size_t h = 0; h < verified.size(); ++h) {
     Hypothesis& x = hypotheses[h];

@@ -1,7 +1,6 @@
 #include "fastloop/map/correction.hpp"
 
 #include <algorithm>
-#include <array>
 #include <mutex>
 #include <queue>
 
@@ -156,31 +155,20 @@ Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected&
 /// Errors of a sample of a keyframe's landmarks that are anchored elsewhere.
 void sample_errors(const Snapshot& map, KeyframeId id, const Corrected& corrected,
                    std::vector<double>& before, std::vector<double>& after) {
-  constexpr std::size_t kSamples = 16;  // tell as much as all of it; up to twice as many are taken
   const Keyframe& k = map.keyframe(id);
-  const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / kSamples);
-  // All are asked for before the first is needed: they lie all over the memory.
-  std::array<std::pair<const Landmark*, std::uint32_t>, 2 * kSamples> sample;
-  std::size_t size = 0;
   const FeatureSet& f = *k.data->features;
-  for (std::size_t i = 0; i < k.landmarks.size(); i += step) {
-    if (!k.landmarks[i].valid()) continue;
-    const Landmark* l = &map.landmark(k.landmarks[i]);
-    __builtin_prefetch(l);
-    __builtin_prefetch(&f.x[i]);
-    __builtin_prefetch(&f.y[i]);
-    __builtin_prefetch(&f.octave[i]);
-    sample[size++] = {l, static_cast<std::uint32_t>(i)};
-  }
   const SE3& T_body_left = map.rig().T_body_left;
   const SE3 was = (corrected.before(id) * T_body_left).inverse();
   const SE3 is = (corrected.T_world_body(id) * T_body_left).inverse();
-  for (std::size_t i = 0; i < size; ++i) {
-    const auto& [l, keypoint] = sample[i];
-    if (l->anchor == id) continue;
-    before.push_back(error_px(map, was, corrected.before(l->anchor) * l->p_anchor, f, keypoint));
-    after.push_back(
-        error_px(map, is, corrected.T_world_body(l->anchor) * l->p_anchor, f, keypoint));
+  // A sample of each keyframe tells as much as all of it.
+  const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / 16);
+  for (std::size_t i = 0; i < k.landmarks.size(); i += step) {
+    if (!k.landmarks[i].valid()) continue;
+    const Landmark& l = map.landmark(k.landmarks[i]);
+    if (l.anchor == id) continue;
+    const auto keypoint = static_cast<std::uint32_t>(i);
+    before.push_back(error_px(map, was, corrected.before(l.anchor) * l.p_anchor, f, keypoint));
+    after.push_back(error_px(map, is, corrected.T_world_body(l.anchor) * l.p_anchor, f, keypoint));
   }
 }
 

@@ -188,10 +188,11 @@ class LandmarkFusion {
 Map::FusionOutcome Map::fuse_landmarks(const Executor& executor,
                                        std::span<const LandmarkMerge> merges,
                                        std::span<const NewObservation> observations) {
+  if (executor.kind() == Executor::Kind::kReference)
+    return fuse_landmarks_reference(merges, observations);
   const Stopwatch watch;
   SharedChanges changes(*this, merges, observations);
-  if (executor.kind() == Executor::Kind::kReference || !changes.fits())
-    return fuse_landmarks_reference(merges, observations);
+  if (!changes.fits()) return fuse_landmarks_reference(merges, observations);
   FusionOutcome outcome;
   LandmarkFusion fusion(*this, changes);
   for (const LandmarkMerge& m : merges)

@@ -31,6 +31,14 @@ PixelObservation Snapshot::pixel(KeyframeId keyframe_id, std::uint32_t keypoint)
   return z;
 }
 
+int Snapshot::num_shared(KeyframeId a, KeyframeId b) const {
+  const std::vector<CovisibilityEdge>& edges = covisible(a);
+  const auto it =
+      std::lower_bound(edges.begin(), edges.end(), b,
+                       [](const CovisibilityEdge& e, KeyframeId id) { return e.keyframe < id; });
+  return it != edges.end() && it->keyframe == b ? it->shared : 0;
+}
+
 std::vector<KeyframeId> Snapshot::best_covisible(KeyframeId id, std::size_t count,
                                                  int min_shared) const {
   std::vector<CovisibilityEdge> edges;

@@ -56,6 +56,8 @@ class Snapshot {
   const std::vector<CovisibilityEdge>& covisible(KeyframeId id) const {
     return covisibility_[id.value()];
   }
+  /// Landmarks that two keyframes share.
+  int num_shared(KeyframeId a, KeyframeId b) const;
   /// The `count` neighbours with most shared landmarks, at least `min_shared`; ties: lower id
   /// first.
   std::vector<KeyframeId> best_covisible(KeyframeId id, std::size_t count,

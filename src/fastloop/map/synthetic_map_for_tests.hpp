@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "fastloop/map/map.hpp"
+#include "fastloop/matching/scene_for_tests.hpp"
 
 /// A world of points with descriptors and the features a stereo rig sees of it: known truth for the
 /// tests of map, mapping and tracking. Only tests include it.
@@ -18,27 +19,12 @@ inline Vector3d normal_vector(std::mt19937& rng, double sigma) {
   return {x, y, z};
 }
 
-inline Descriptor random_descriptor(std::mt19937& rng) {
-  Descriptor d;
-  for (auto& word : d.words) word = (static_cast<std::uint64_t>(rng()) << 32) | rng();
-  return d;
-}
-
-inline Descriptor with_flipped_bits(Descriptor d, int flips, std::mt19937& rng) {
-  for (int i = 0; i < flips; ++i) {
-    const unsigned bit = rng() % 256;
-    d.words[bit / 64] ^= std::uint64_t{1} << (bit % 64);
-  }
-  return d;
-}
+using matching::testing::random_descriptor;
+using matching::testing::with_flipped_bits;
 
 /// Rectified stereo; the body's axes are x forward, y left, z up.
 inline StereoRig pinhole_rig() {
-  StereoRig rig;
-  rig.left = {CameraModel::kPinhole, 752, 480, 435.0, 436.0, 370.0, 240.0, {}};
-  rig.right = rig.left;
-  rig.baseline_m = 0.11;
-  rig.T_right_left.translation = {-0.11, 0, 0};
+  StereoRig rig = matching::testing::pinhole_rig();
   Matrix3d R_body_left;
   R_body_left << 0, 0, 1, -1, 0, 0, 0, -1, 0;
   rig.T_body_left = SE3(R_body_left, Vector3d(0.05, 0.02, -0.03));

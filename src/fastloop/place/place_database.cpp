@@ -1,6 +1,5 @@
 #include "fastloop/place/place_database.hpp"
 
-#include <algorithm>
 #include <mutex>
 
 namespace fastloop::place {

@@ -1,9 +1,9 @@
 #pragma once
 
+#include <map>
 #include <memory>
 #include <shared_mutex>
 #include <span>
-#include <unordered_map>
 #include <vector>
 
 #include "fastloop/place/inverted_index.hpp"
@@ -40,7 +40,7 @@ class PlaceDatabase {
   const Vocabulary& vocabulary_;
   mutable std::shared_mutex mutex_;
   InvertedIndex index_;
-  std::unordered_map<KeyframeId, Words> words_;
+  std::map<KeyframeId, Words> words_;
   std::vector<KeyframeId> ascending_;  ///< keys of words_
 };
 

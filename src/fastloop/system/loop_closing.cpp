@@ -141,7 +141,7 @@ void LoopClosing::before_keyframe(mapping::Mapper& mapper) {
       live_ ? adjustment_.ready()
             : adjustment_.running() &&
                   keyframes_since_adjustment_ >= options_.adjustment_delay_keyframes;
-  if (due) apply_adjustment(mapper, true);
+  if (due) apply_adjustment(mapper);
 }
 
 void LoopClosing::after_keyframe(mapping::Mapper& mapper, KeyframeId keyframe) {
@@ -160,7 +160,7 @@ void LoopClosing::after_keyframe(mapping::Mapper& mapper, KeyframeId keyframe) {
 
 void LoopClosing::finish(mapping::Mapper& mapper) {
   apply_found(mapper, true);
-  if (adjustment_.running()) apply_adjustment(mapper, true);
+  if (adjustment_.running()) apply_adjustment(mapper);
 }
 
 void LoopClosing::apply_found(mapping::Mapper& mapper, bool wait) {
@@ -204,8 +204,7 @@ void LoopClosing::start_adjustment(mapping::Mapper& mapper, MapId map) {
   adjustment_.start(mapper.map().publish(), map, options_.loop.inertial && info.imu_initialized);
 }
 
-void LoopClosing::apply_adjustment(mapping::Mapper& mapper, bool wait) {
-  if (!wait && !adjustment_.ready()) return;
+void LoopClosing::apply_adjustment(mapping::Mapper& mapper) {
   const auto correction = adjustment_.take();
   if (!correction) return;
   const map::CorrectionOutcome outcome = mapper.apply(*correction);

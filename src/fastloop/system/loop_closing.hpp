@@ -86,7 +86,7 @@ class LoopClosing {
   void record_map(const Job& job, const loop::LoopCloser::Outcome& outcome) const;
   void keep(LoopRecord record);
   void apply_found(mapping::Mapper& mapper, bool wait);
-  void apply_adjustment(mapping::Mapper& mapper, bool wait);
+  void apply_adjustment(mapping::Mapper& mapper);
   void start_adjustment(mapping::Mapper& mapper, MapId map);
 
   const LoopClosingOptions options_;

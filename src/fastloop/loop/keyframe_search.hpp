@@ -1,0 +1,26 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "fastloop/compute/executor.hpp"
+#include "fastloop/map/landmark_arrays.hpp"
+
+namespace fastloop::loop {
+
+/// A keyframe where the loop puts it.
+struct MovedKeyframe {
+  KeyframeId keyframe;
+  SE3 T_camera_world;  ///< left camera, corrected
+};
+
+/// Every landmark of a place searched in every keyframe, by the rule of loop closing: PS1 to PS3 and
+/// loop fusion differ in radius and distance only.
+/// @return [moved]
+std::vector<matching::ProjectionMatches> search_keyframes(const Executor& executor,
+                                                          const map::Snapshot& snapshot,
+                                                          std::span<const MovedKeyframe> moved,
+                                                          const map::LandmarkArrays& cloud,
+                                                          float radius_px, int max_distance);
+
+}  // namespace fastloop::loop
