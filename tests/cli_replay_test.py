@@ -55,7 +55,7 @@ class Replay(unittest.TestCase):
             self.assertIn("apply_landmarks", replay["stages_ms"])
             self.assertTrue(replay["candidates"][0]["gates"])
         self.assertTrue(report["comparison"]["decisions_equal"])
-        self.assertLess(report["comparison"]["largest_pose_difference"], 1e-3)
+        self.assertLess(report["comparison"]["largest_pose_difference"], 1e-6)
         first, last = report["replays"]
         self.assertEqual(first["decision_digest"], last["decision_digest"])
 

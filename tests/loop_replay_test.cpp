@@ -28,7 +28,7 @@ TEST(LoopReplay, DecidesAsTheRunDid) {
       replays.emplace_back(run.world.map.publish(), parse_loop_request(to_json(request)), b);
     for (const ReplaySummary& s : repeat_replays(replays, 2)) {
       EXPECT_EQ(decision_digest(s.last.outcome), decision_digest(run.outcome));
-      EXPECT_LT(largest_pose_difference(s.last.outcome, run.outcome), 1e-4);
+      EXPECT_LT(largest_pose_difference(s.last.outcome, run.outcome), 1e-6);
       EXPECT_TRUE(s.last.applied.applied) << s.last.applied.reason;
       EXPECT_EQ(s.last.applied.merged, run.outcome.correction->merges.size());
     }

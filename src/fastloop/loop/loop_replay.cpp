@@ -101,10 +101,14 @@ ReplayRun LoopReplay::run() {
   if (run.outcome.correction)
     run.applied =
         map::apply_correction(map, *run.outcome.correction, {}, executor_of(closer_->backend()));
-  run.total_ms = run.total_without_graph_ms = watch.elapsed_ms();
+  run.total_ms = watch.elapsed_ms();
   run.stages_ms = run.outcome.report.times_ms;
-  for (const auto& [stage, ms] : run.stages_ms)
-    if (stage == "graph_build" || stage == "graph_solve") run.total_without_graph_ms -= ms;
+  double graph_ms = 0;
+  for (const auto& [stage, ms] : run.stages_ms) {
+    if (stage == "graph_build" || stage == "graph_solve") graph_ms += ms;
+    if (stage == "graph_finish") run.total_ms -= ms;
+  }
+  run.total_without_graph_ms = run.total_ms - graph_ms;
   if (run.outcome.correction) {
     run.stages_ms.emplace_back("apply_check", run.applied.times.check_ms);
     run.stages_ms.emplace_back("apply_poses", run.applied.times.poses_ms);

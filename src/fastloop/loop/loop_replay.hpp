@@ -21,8 +21,8 @@ struct ReplayRun {
   /// Detection, correction and applying, the latter split into "apply_check", "apply_poses",
   /// "apply_landmarks" and "apply_covisibility". Names of the report's stages otherwise.
   std::vector<std::pair<std::string, double>> stages_ms;
-  double total_ms = 0;
-  double total_without_graph_ms = 0;  ///< without "graph_build" and "graph_solve"
+  double total_ms = 0;  ///< without "graph_finish", which only makes poses comparable
+  double total_without_graph_ms = 0;  ///< nor "graph_build" and "graph_solve"
 
   /// Stages that make landmarks and covisibility follow, joining of landmarks included:
   /// "landmarks", "connections", "apply_landmarks", "apply_covisibility".
