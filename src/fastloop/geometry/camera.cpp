@@ -50,6 +50,10 @@ Eigen::Vector2d Camera::project(const Vector3d& p, Eigen::Matrix<double, 2, 3>* 
   if (model == CameraModel::kPinhole) {
     const double iz = 1.0 / p.z();
     const double x = p.x() * iz, y = p.y() * iz;
+    if (is_ideal_pinhole()) {
+      if (jacobian) *jacobian << fx * iz, 0, -fx * x * iz, 0, fy * iz, -fy * y * iz;
+      return {fx * x + cx, fy * y + cy};
+    }
     const Distorted d = distort_radtan(*this, x, y);
     if (jacobian) {
       Eigen::Matrix<double, 2, 3> normalise;

@@ -121,8 +121,10 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
                       int min_inliers) const {
   const std::vector<optimization::SimilarityPair> pairs =
       make_refinement_pairs(snapshot, current, h.window, h.cloud, h.found);
+  const bool published = executor_.kind() == Executor::Kind::kReference;
   const optimization::SimilarityResult refined =
-      optimization::refine_similarity(snapshot.rig().left, Sim3(h.T_camera_world), pairs);
+      (published ? optimization::refine_similarity_reference : optimization::refine_similarity)(
+          snapshot.rig().left, Sim3(h.T_camera_world), pairs, {});
   if (!h.gate("refined inliers", refined.num_inliers, min_inliers,
               refined.num_inliers >= min_inliers))
     return false;

@@ -152,17 +152,17 @@ Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected&
   return std::nullopt;
 }
 
-/// Errors of a sample of a keyframe's landmarks that are anchored elsewhere.
+/// Errors of about `samples` of a keyframe's landmarks that are anchored elsewhere.
 void sample_errors(const Snapshot& map, KeyframeId id, const Corrected& corrected,
-                   std::vector<double>& before, std::vector<double>& after) {
+                   std::size_t samples, std::vector<double>& before, std::vector<double>& after) {
   const Keyframe& k = map.keyframe(id);
   const FeatureSet& f = *k.data->features;
   const SE3& T_body_left = map.rig().T_body_left;
   const SE3 was = (corrected.before(id) * T_body_left).inverse();
   const SE3 is = (corrected.T_world_body(id) * T_body_left).inverse();
-  // A sample of each keyframe tells as much as all of it.
-  const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / 16);
-  for (std::size_t i = 0; i < k.landmarks.size(); i += step) {
+  // Neighbouring keyframes see the same landmarks: each begins at another keypoint.
+  const std::size_t step = std::max<std::size_t>(1, k.landmarks.size() / samples);
+  for (std::size_t i = id.value() % step; i < k.landmarks.size(); i += step) {
     if (!k.landmarks[i].valid()) continue;
     const Landmark& l = map.landmark(k.landmarks[i]);
     if (l.anchor == id) continue;
@@ -176,13 +176,18 @@ void sample_errors(const Snapshot& map, KeyframeId id, const Corrected& correcte
 /// does not tear it.
 Fault check_growth(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
                    const CorrectionLimits& limits, const Executor& executor) {
+  // The median of a thousand is that of all within some percent; every keyframe takes part as
+  // long as there are not more of them.
+  constexpr std::size_t kSamples = 1024;
+  const std::size_t each = std::clamp<std::size_t>(kSamples / std::max<std::size_t>(1, c.states.size()), 1, 16);
+  const std::size_t stride = c.states.size() / kSamples + 1;
   std::vector<double> before, after;
   std::mutex mutex;
   executor.for_ranges(c.states.size(), 64, [&](std::size_t begin, std::size_t end) {
     std::vector<double> was, is;
     for (; begin < end; ++begin)
-      if (map.contains(c.states[begin].keyframe))
-        sample_errors(map, c.states[begin].keyframe, corrected, was, is);
+      if (begin % stride == 0 && map.contains(c.states[begin].keyframe))
+        sample_errors(map, c.states[begin].keyframe, corrected, each, was, is);
     const std::lock_guard lock(mutex);
     before.insert(before.end(), was.begin(), was.end());
     after.insert(after.end(), is.begin(), is.end());

@@ -9,28 +9,45 @@
 
 namespace fastloop::map {
 
+namespace {
+
+using Row = std::array<std::uint16_t, kMaxVoters>;
+
+/// The loop has a fixed length, so that the compiler makes a few vector instructions of it.
+int count_at_most(const Row& row, std::uint16_t limit) {
+  std::uint16_t count = 0;
+  for (const std::uint16_t d : row) count += static_cast<std::uint16_t>(d <= limit);
+  return count;
+}
+
+}  // namespace
+
 std::size_t typical_descriptor(std::span<const Descriptor> descriptors) {
   const std::size_t n = descriptors.size();
   if (n > kMaxVoters) throw InvalidArgument("typical_descriptor: too many descriptors");
-  std::array<std::array<std::uint16_t, kMaxVoters>, kMaxVoters> distance;
+  if (n == 0) return 0;
+  std::array<Row, kMaxVoters> distance;
   for (std::size_t i = 0; i < n; ++i) {
+    distance[i].fill(0xffff);
+    for (std::size_t j = 0; j < i; ++j) distance[i][j] = distance[j][i];
     distance[i][i] = 0;
     hamming_distances(descriptors[i], descriptors.subspan(i + 1), distance[i].data() + i + 1);
-    for (std::size_t j = i + 1; j < n; ++j) distance[j][i] = distance[i][j];
   }
-  const std::size_t middle = n == 0 ? 0 : (n - 1) / 2;
+  const int middle = static_cast<int>((n - 1) / 2);
   std::size_t best = 0;
   std::uint16_t best_median = 257;
   for (std::size_t i = 0; i < n; ++i) {
-    // Counting tells whether this row's median is smaller; only then is it worth finding.
-    std::size_t smaller = 0;
-    for (std::size_t j = 0; j < n; ++j) smaller += distance[i][j] < best_median;
-    if (smaller <= middle) continue;
-    const auto row = distance[i].begin();
-    std::nth_element(row, row + static_cast<std::ptrdiff_t>(middle),
-                     row + static_cast<std::ptrdiff_t>(n));
-    best_median = distance[i][middle];
+    const auto beyond = [&](std::uint16_t d) { return count_at_most(distance[i], d) > middle; };
+    if (!beyond(static_cast<std::uint16_t>(best_median - 1))) continue;
+    // The median is the smallest distance with more than `middle` entries up to it.
+    std::uint16_t low = 0, high = static_cast<std::uint16_t>(best_median - 1);
+    while (low < high) {
+      const auto half = static_cast<std::uint16_t>((low + high) / 2);
+      beyond(half) ? high = half : low = static_cast<std::uint16_t>(half + 1);
+    }
+    best_median = low;
     best = i;
+    if (best_median == 0) break;  // it cannot get smaller
   }
   return best;
 }

@@ -1,19 +1,28 @@
 #include "fastloop/matching/camera_view.hpp"
 
+#include <algorithm>
+
 namespace fastloop::matching {
 namespace {
 
 /// First angle at which the slope of theta_d stops being positive, at most 0.98 pi (as
 /// Camera::is_projectable).
 double monotonic_limit(const Camera& camera) {
-  constexpr double kMaxTheta = 0.98 * M_PI, kStep = 1e-3;
+  constexpr double kMaxTheta = 0.98 * M_PI, kStep = 0.02;
   const auto& k = camera.distortion;
-  for (double theta = 0; theta < kMaxTheta; theta += kStep) {
+  const auto rises = [&](double theta) {
     const double t2 = theta * theta;
-    const double slope = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])));
-    if (slope <= 0) return theta;
+    return 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3]))) > 0;
+  };
+  double rising = 0;
+  while (rising < kMaxTheta && rises(rising + kStep)) rising += kStep;
+  if (rising >= kMaxTheta) return kMaxTheta;
+  double falling = rising + kStep;
+  while (falling - rising > 1e-7) {
+    const double middle = (rising + falling) / 2;
+    (rises(middle) ? rising : falling) = middle;
   }
-  return kMaxTheta;
+  return std::min(rising, kMaxTheta);
 }
 
 }  // namespace
@@ -29,7 +38,7 @@ CameraView make_camera_view(const Camera& camera) {
   view.cx = static_cast<float>(camera.cx);
   view.cy = static_cast<float>(camera.cy);
   for (int i = 0; i < 5; ++i) view.k[i] = static_cast<float>(camera.distortion[i]);
-  view.max_theta = static_cast<float>(monotonic_limit(camera));
+  if (view.fisheye) view.max_theta = static_cast<float>(monotonic_limit(camera));
   return view;
 }
 

@@ -51,18 +51,23 @@ void CandidateLists::compare_all(const MatchSide& first, const MatchSide& second
 
 void CandidateLists::compare_groups(const MatchSide& first, const MatchSide& second) {
   const FeatureGroups &a = *first.groups, &b = *second.groups;
+  indices_.resize(b.indices.size());
+  std::uint16_t* next = indices_.data();
   std::size_t j = 0;
   for (std::size_t i = 0; i < a.node.size(); ++i) {
     while (j < b.node.size() && b.node[j] < a.node[i]) ++j;
     if (j == b.node.size()) break;
     if (b.node[j] != a.node[i]) continue;
     Range range;
-    range.begin = static_cast<std::uint32_t>(indices_.size());
-    for (std::uint32_t k = b.start[j]; k < b.start[j + 1]; ++k)
-      if (takes_part(second, b.indices[k])) indices_.push_back(b.indices[k]);
-    range.end = static_cast<std::uint32_t>(indices_.size());
+    range.begin = static_cast<std::uint32_t>(next - indices_.data());
+    for (std::uint32_t k = b.start[j]; k < b.start[j + 1]; ++k) {
+      *next = b.indices[k];  // kept or written over: no branch to guess
+      next += takes_part(second, b.indices[k]);
+    }
+    range.end = static_cast<std::uint32_t>(next - indices_.data());
     for (std::uint32_t k = a.start[i]; k < a.start[i + 1]; ++k)
       if (takes_part(first, a.indices[k])) range_[a.indices[k]] = range;
+    ++j;  // a node is named once
   }
 }
 

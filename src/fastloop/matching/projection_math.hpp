@@ -48,10 +48,10 @@ FASTLOOP_HD inline void rotate(const float r[9], const float p[3], float out[3])
 }
 
 /// Smallest level whose scale reaches `ratio`: ceil(log(ratio) / log(factor)), clamped to the
-/// pyramid.
+/// pyramid. Scales ascend, so counting those below needs no branch.
 FASTLOOP_HD inline int predicted_level(const ScaleView& scales, float ratio) {
   int level = 0;
-  while (level < scales.levels - 1 && scales.scale[level] < ratio) ++level;
+  for (int l = 0; l < scales.levels - 1; ++l) level += scales.scale[l] < ratio;
   return level;
 }
 
@@ -67,46 +67,77 @@ FASTLOOP_HD inline void predict_right(const ProjectionRule& rule, const float p[
   if (!project(rule.right, q, &w->right_u, &w->right_v)) w->right_u = w->right_v = NAN;
 }
 
-/// Gates landmark `i` for a target and, where it passes, describes the window to search.
-/// Comparisons are written so that NaN fails.
-FASTLOOP_HD inline bool landmark_window(const ProjectionRule& rule, const TargetView& target,
-                                        const LandmarkArrays& landmarks, int i, WindowScan* w) {
+/// A landmark that a target's camera can see.
+struct Sighting {
+  float u, v;      ///< pixel
+  float distance;  ///< metres from the camera
+  float dot;       ///< distance times the cosine of the viewing angle; 0 where nobody asks for it
+  int level;       ///< of the pyramid, predicted
+};
+
+FASTLOOP_HD inline bool needs_normal(const ProjectionRule& rule) {
+  return rule.min_view_cos > -1.0f || rule.wide_factor != 1.0f;
+}
+
+/// From the target's centre to the landmark, in the world.
+FASTLOOP_HD inline void ray_to(const TargetView& target, const LandmarkArrays& landmarks, int i,
+                               float ray[3]) {
   const float* p_world = landmarks.p_world + 3 * static_cast<std::size_t>(i);
-  const float ray[3] = {p_world[0] - target.centre_world[0], p_world[1] - target.centre_world[1],
-                        p_world[2] - target.centre_world[2]};
-  float p[3];
+  for (int k = 0; k < 3; ++k) ray[k] = p_world[k] - target.centre_world[k];
+}
+
+FASTLOOP_HD inline void to_camera(const TargetView& target, const float ray[3], float p[3]) {
   rotate(target.rotation, ray, p);
   for (int k = 0; k < 3; ++k) p[k] *= target.scale;
-  if (!project(rule.left, p, &w->u, &w->v) || !in_image(rule.left, w->u, w->v)) return false;
+}
 
-  const float distance = sqrtf(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]);
-  const float far = landmarks.max_distance_m[i];
-  if (!(distance >= rule.min_distance_factor * landmarks.min_distance_m[i]) ||
-      !(distance <= rule.max_distance_factor * far))
+/// Gates of landmark `i` for a target. Comparisons are written so that NaN fails.
+FASTLOOP_HD inline bool sight(const ProjectionRule& rule, const TargetView& target,
+                              const LandmarkArrays& landmarks, int i, Sighting* s) {
+  float ray[3], p[3];
+  ray_to(target, landmarks, i, ray);
+  to_camera(target, ray, p);
+  if (!project(rule.left, p, &s->u, &s->v) || !in_image(rule.left, s->u, s->v)) return false;
+
+  s->distance = sqrtf(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]);
+  if (!(s->distance >= rule.min_distance_factor * landmarks.min_distance_m[i]) ||
+      !(s->distance <= rule.max_distance_factor * landmarks.max_distance_m[i]))
     return false;
 
-  w->radius = rule.radius_px;
-  if (rule.min_view_cos > -1.0f || rule.wide_factor != 1.0f) {
-    const float* n = landmarks.normal_world + 3 * static_cast<std::size_t>(i);
-    const float dot = ray[0] * n[0] + ray[1] * n[1] + ray[2] * n[2];
-    if (rule.min_view_cos > -1.0f && !(dot >= rule.min_view_cos * distance)) return false;
-    if (dot < rule.wide_view_cos * distance) w->radius *= rule.wide_factor;
-  }
+  s->level = predicted_level(rule.scales, landmarks.max_distance_m[i] / s->distance);
+  s->dot = 0;
+  if (!needs_normal(rule)) return true;
+  const float* n = landmarks.normal_world + 3 * static_cast<std::size_t>(i);
+  s->dot = ray[0] * n[0] + ray[1] * n[1] + ray[2] * n[2];
+  return !(rule.min_view_cos > -1.0f) || s->dot >= rule.min_view_cos * s->distance;
+}
 
-  const int level = predicted_level(rule.scales, far / distance);
-  w->radius *= rule.scales.scale[level];
-  w->min_octave = level - rule.octaves_below;
-  w->max_octave = level + rule.octaves_above;
-  if (w->max_octave >= rule.scales.levels) w->max_octave = rule.scales.levels - 1;
-  w->right_u = w->right_v = NAN;
-  if (rule.need_right) predict_right(rule, p, w);
-  w->right_radius = rule.check_right ? w->radius : -1.0f;
-  w->use_right_v = !rule.rectified;
-  w->chi2_mono = rule.chi2_mono;
-  w->chi2_stereo = rule.chi2_stereo;
-  w->max_distance = rule.max_distance;
-  w->best_to_second = rule.best_to_second;
-  return true;
+/// The window in which landmark `i`, which passed the gates, is searched.
+FASTLOOP_HD inline WindowScan window_of(const ProjectionRule& rule, const TargetView& target,
+                                        const LandmarkArrays& landmarks, int i, const Sighting& s) {
+  WindowScan w;
+  w.u = s.u;
+  w.v = s.v;
+  w.radius = rule.radius_px;
+  if (needs_normal(rule) && s.dot < rule.wide_view_cos * s.distance) w.radius *= rule.wide_factor;
+  w.radius *= rule.scales.scale[s.level];
+  w.min_octave = s.level - rule.octaves_below;
+  w.max_octave = s.level + rule.octaves_above;
+  if (w.max_octave >= rule.scales.levels) w.max_octave = rule.scales.levels - 1;
+  w.right_u = w.right_v = NAN;
+  if (rule.need_right) {
+    float ray[3], p[3];
+    ray_to(target, landmarks, i, ray);
+    to_camera(target, ray, p);
+    predict_right(rule, p, &w);
+  }
+  w.right_radius = rule.check_right ? w.radius : -1.0f;
+  w.use_right_v = !rule.rectified;
+  w.chi2_mono = rule.chi2_mono;
+  w.chi2_stereo = rule.chi2_stereo;
+  w.max_distance = rule.max_distance;
+  w.best_to_second = rule.best_to_second;
+  return w;
 }
 
 /// The functor: one landmark in one target.
@@ -120,10 +151,16 @@ struct ProjectOne {
   FASTLOOP_HD MatchKey operator()(const TargetView& target, int i, std::uint8_t* in_view) const {
     *in_view = 0;
     if (target.landmark_skipped && target.landmark_skipped[i]) return kNoKey;
-    WindowScan window;
-    if (!landmark_window(rule, target, landmarks, i, &window)) return kNoKey;
+    Sighting sighting;
+    if (!sight(rule, target, landmarks, i, &sighting)) return kNoKey;
     *in_view = 1;
-    return scan_window(target.features, rule.scales, window, landmarks.descriptor[i], distances);
+    return search(target, i, sighting);
+  }
+
+  /// The search of a landmark that passed the gates.
+  FASTLOOP_HD MatchKey search(const TargetView& target, int i, const Sighting& sighting) const {
+    return scan_window(target.features, rule.scales, window_of(rule, target, landmarks, i, sighting),
+                       landmarks.descriptor[i], distances);
   }
 };
 

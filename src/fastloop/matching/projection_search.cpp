@@ -1,9 +1,14 @@
 #include "fastloop/matching/projection_search.hpp"
 
+#include <algorithm>
+#include <bit>
+
 #include "fastloop/core/error.hpp"
 #include "fastloop/matching/batch_distances.hpp"
 #include "fastloop/matching/claims.hpp"
+#include "fastloop/matching/ordered_scan.hpp"
 #include "fastloop/matching/projection_math.hpp"
+#include "fastloop/matching/sight_batch.hpp"
 
 namespace fastloop::matching {
 namespace {
@@ -89,21 +94,60 @@ LandmarkArrays make_arrays(const LandmarkView& landmarks) {
           landmarks.descriptor.data()};
 }
 
-/// Every (target, landmark) pair writes its own element of `keys` and `in_view`: no order matters.
+/// Landmarks [begin, end) of target t, one after another.
 template <class Distances>
-void search_all(const Executor& executor, const ProjectionRule& rule,
-                const std::vector<TargetView>& targets, const LandmarkView& landmarks,
-                std::vector<std::vector<MatchKey>>& keys, std::span<ProjectionMatches> results) {
-  const std::size_t n = landmarks.size();
-  const ProjectOne<Distances> one{rule, make_arrays(landmarks), {}};
-  executor.for_ranges(targets.size() * n, kGrain, [&](std::size_t begin, std::size_t end) {
-    while (begin < end) {
-      const std::size_t t = begin / n;
-      const std::size_t stop = std::min(end, (t + 1) * n);
-      for (; begin < stop; ++begin) {
-        const std::size_t i = begin - t * n;
-        keys[t][i] = one(targets[t], static_cast<int>(i), &results[t].in_view[i]);
+struct ScalarSearch {
+  ProjectOne<Distances> one;
+  std::span<const TargetView> targets;
+
+  void operator()(std::size_t t, std::size_t begin, std::size_t end, MatchKey* keys,
+                  std::uint8_t* in_view) const {
+    for (std::size_t i = begin; i < end; ++i)
+      keys[i] = one(targets[t], static_cast<int>(i), &in_view[i]);
+  }
+};
+
+/// The same with the gates of several landmarks, where most end, and several keypoints at a time.
+struct VectorSearch {
+  ProjectionRule rule;
+  LandmarkArrays landmarks;
+  std::span<const TargetView> targets;
+  std::vector<OrderedKeypoints> keypoints;  ///< [targets]
+
+  void operator()(std::size_t t, std::size_t begin, std::size_t end, MatchKey* keys,
+                  std::uint8_t* in_view) const {
+    const TargetView& target = targets[t];
+    std::fill(keys + begin, keys + end, kNoKey);
+    std::fill(in_view + begin, in_view + end, std::uint8_t{0});
+    SightBatch batch;
+    for (std::size_t first = begin; first < end; first += SightBatch::kLanes) {
+      const auto count = std::min<std::size_t>(SightBatch::kLanes, end - first);
+      unsigned passed = sight_batch(rule, target, landmarks, static_cast<int>(first),
+                                    static_cast<int>(count), &batch);
+      for (; passed != 0; passed &= passed - 1) {
+        const int lane = std::countr_zero(passed);
+        const std::size_t i = first + static_cast<std::size_t>(lane);
+        if (target.landmark_skipped && target.landmark_skipped[i]) continue;
+        in_view[i] = 1;
+        const WindowScan window =
+            window_of(rule, target, landmarks, static_cast<int>(i), batch.lane(lane));
+        keys[i] = keypoints[t].scan(rule.scales, window, landmarks.descriptor[i]);
       }
+    }
+  }
+};
+
+/// Every (target, landmark) pair writes its own element of `keys` and `in_view`: no order matters.
+template <class Search>
+void search_all(const Executor& executor, const Search& search, std::size_t num_landmarks,
+                std::vector<std::vector<MatchKey>>& keys, std::span<ProjectionMatches> results) {
+  const std::size_t n = num_landmarks;
+  executor.for_ranges(results.size() * n, kGrain, [&](std::size_t begin, std::size_t end) {
+    while (begin < end) {
+      const std::size_t t = begin / n, first = begin - t * n;
+      const std::size_t last = std::min(n, first + (end - begin));
+      search(t, first, last, keys[t].data(), results[t].in_view.data());
+      begin += last - first;
     }
   });
 }
@@ -125,11 +169,17 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
     results[t].in_view.resize(n);
   }
   const ProjectionRule rule = make_rule(rig, scales, options);
-  if (executor.kind() == Executor::Kind::kReference)
-    search_all<PortableDistances>(executor, rule, views, landmarks, keys, results);
-  else
-    search_all<CpuDistances>(executor, rule, views, landmarks, keys, results);
-
+  const LandmarkArrays arrays = make_arrays(landmarks);
+  if (executor.kind() == Executor::Kind::kReference) {
+    search_all(executor, ScalarSearch<PortableDistances>{{rule, arrays, {}}, views}, n, keys, results);
+  } else if (can_sight_batches() && OrderedKeypoints::supported()) {
+    VectorSearch search{rule, arrays, views, {}};
+    search.keypoints.reserve(views.size());
+    for (const TargetView& view : views) search.keypoints.emplace_back(view.features);
+    search_all(executor, search, n, keys, results);
+  } else {
+    search_all(executor, ScalarSearch<CpuDistances>{{rule, arrays, {}}, views}, n, keys, results);
+  }
   executor.for_ranges(targets.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (std::size_t t = begin; t < end; ++t) {
       ProjectionMatches& r = results[t];

@@ -95,6 +95,20 @@ struct BestTwo {
   }
 };
 
+inline constexpr float kWindowMargin = 0.01f;  ///< pixels; covers rounding of the cell borders
+
+/// What a window found, after the limits on the distance.
+FASTLOOP_HD inline MatchKey best_of(const FeatureView& f, const WindowScan& w,
+                                    const BestTwo& found) {
+  if (found.best == kNoKey || key_distance(found.best) > w.max_distance) return kNoKey;
+  if (w.best_to_second < 1.0f && found.second != kNoKey &&
+      f.octave[key_index(found.best)] == f.octave[key_index(found.second)] &&
+      static_cast<float>(key_distance(found.best)) >
+          w.best_to_second * static_cast<float>(key_distance(found.second)))
+    return kNoKey;
+  return found.best;
+}
+
 /// The best keypoint of a window, or kNoKey. Independent of the order in which keypoints are
 /// visited. `Distances` computes the Hamming distances of a batch:
 ///   void operator()(const Descriptor& query, const Descriptor* all, const std::uint16_t* indices,
@@ -105,10 +119,9 @@ FASTLOOP_HD inline MatchKey scan_window(const FeatureView& f, const ScaleView& s
                                         const WindowScan& w, const Descriptor& query,
                                         const Distances& distances) {
   constexpr int kBatch = 64;
-  constexpr float kMargin = 0.01f;  // pixels; covers rounding of the cell borders
   constexpr int kCols = KeypointGrid::kCols, kRows = KeypointGrid::kRows;
   if (f.size == 0) return kNoKey;
-  const float reach = w.radius + kMargin;
+  const float reach = w.radius + kWindowMargin;
   const int first_col = clamp_cell((w.u - reach) / f.cell_width_px, kCols);
   const int last_col = clamp_cell((w.u + reach) / f.cell_width_px, kCols);
   const int first_row = clamp_cell((w.v - reach) / f.cell_height_px, kRows);
@@ -134,14 +147,7 @@ FASTLOOP_HD inline MatchKey scan_window(const FeatureView& f, const ScaleView& s
   }
   distances(query, f.descriptors, batch, batched, distance);
   for (int j = 0; j < batched; ++j) found.take(static_cast<MatchKey>(distance[j]) << 16 | batch[j]);
-
-  if (found.best == kNoKey || key_distance(found.best) > w.max_distance) return kNoKey;
-  if (w.best_to_second < 1.0f && found.second != kNoKey &&
-      f.octave[key_index(found.best)] == f.octave[key_index(found.second)] &&
-      static_cast<float>(key_distance(found.best)) >
-          w.best_to_second * static_cast<float>(key_distance(found.second)))
-    return kNoKey;
-  return found.best;
+  return best_of(f, w, found);
 }
 
 }  // namespace fastloop::matching

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 namespace fastloop::optimization {
@@ -14,17 +15,6 @@ struct Terms {
   double cost = 0;
 };
 
-using PointJacobian = Eigen::Matrix<double, 3, 7>;
-
-/// d (exp(d) * p) / d d at d = 0, in the order rotation, translation, log scale.
-PointJacobian perturbation_of(const Vector3d& p) {
-  PointJacobian j;
-  j.leftCols<3>() = -so3::hat(p);
-  j.middleCols<3>(3).setIdentity();
-  j.col(6) = p;
-  return j;
-}
-
 /// Squared normalised error of one reprojection, infinite when the camera does not see the point.
 double error_of(const Camera& camera, const Vector3d& p, const Eigen::Vector2d& pixel,
                 double inv_sigma2) {
@@ -32,10 +22,11 @@ double error_of(const Camera& camera, const Vector3d& p, const Eigen::Vector2d& 
   return inv_sigma2 * (camera.project(p) - pixel).squaredNorm();
 }
 
-class Problem {
+/// What both ways of differentiating share: the pairs and which of them still count.
+class Pairs {
  public:
-  Problem(const Camera& camera, std::span<const SimilarityPair> pairs,
-          const SimilarityOptions& options)
+  Pairs(const Camera& camera, std::span<const SimilarityPair> pairs,
+        const SimilarityOptions& options)
       : camera_(camera), pairs_(pairs), options_(options), active_(pairs.size(), 1) {}
 
   std::vector<std::uint8_t>& active() { return active_; }
@@ -56,46 +47,19 @@ class Problem {
     return left;
   }
 
-  Terms linearise(const Sim3& s, bool robust) const {
-    Terms t;
-    const Sim3 inverse = s.inverse();
-    const Matrix3d back = inverse.scale * inverse.rotation.toRotationMatrix();
-    for (std::size_t i = 0; i < pairs_.size(); ++i) {
-      if (!active_[i]) continue;
-      const SimilarityPair& p = pairs_[i];
-      const Vector3d p_first = s * p.p_second;
-      add(t, p_first, perturbation_of(p_first), p.pixel_first, p.inv_sigma2_first, robust);
-      // S^-1 exp(-d) p moves by -S^-1's linear part times the perturbation of p.
-      const Vector3d p_view = p.T_view_second * (inverse * p.p_first);
-      const PointJacobian j =
-          -(p.T_view_second.rotation.toRotationMatrix() * back) * perturbation_of(p.p_first);
-      add(t, p_view, j, p.pixel_view, p.inv_sigma2_view, robust);
-    }
-    return t;
-  }
-
- private:
-  void add(Terms& t, const Vector3d& p, const PointJacobian& d_point, const Eigen::Vector2d& pixel,
-           double inv_sigma2, bool robust) const {
-    if (!camera_.is_projectable(p)) {
-      t.cost += 4 * options_.chi2_gate;
-      return;
-    }
-    Eigen::Matrix<double, 2, 3> d_pixel;
-    const Eigen::Vector2d r = camera_.project(p, &d_pixel) - pixel;
-    const double squared = inv_sigma2 * r.squaredNorm(), width = std::sqrt(options_.chi2_gate);
-    double weight = inv_sigma2;
-    if (robust && squared > options_.chi2_gate) {
-      const double norm = std::sqrt(squared);
-      t.cost += 2 * width * norm - options_.chi2_gate;
-      weight *= width / norm;
-    } else {
+ protected:
+  /// Adds the cost of one squared, normalised error and returns its weight.
+  double weigh(Terms& t, double squared, bool robust) const {
+    if (!robust || squared <= options_.chi2_gate) {
       t.cost += squared;
+      return 1;
     }
-    const Eigen::Matrix<double, 2, 7> j = d_pixel * d_point;
-    t.hessian.noalias() += weight * j.transpose() * j;
-    t.gradient.noalias() += weight * j.transpose() * r;
+    const double norm = std::sqrt(squared), width = std::sqrt(options_.chi2_gate);
+    t.cost += 2 * width * norm - options_.chi2_gate;
+    return width / norm;
   }
+  /// Of a point that its camera does not see.
+  double lost_cost() const { return 4 * options_.chi2_gate; }
 
   const Camera& camera_;
   std::span<const SimilarityPair> pairs_;
@@ -103,7 +67,133 @@ class Problem {
   std::vector<std::uint8_t> active_;
 };
 
-void minimise(const Problem& problem, Sim3& s, int iterations, bool robust, bool fixed_scale) {
+/// One row of a residual into the upper triangle of the normal equations.
+void add_row(Terms& t, const Vector7d& j, double weight, double residual) {
+  for (int col = 0; col < 7; ++col) {
+    const double scaled = weight * j[col];
+    for (int row = 0; row <= col; ++row) t.hessian(row, col) += scaled * j[row];
+    t.gradient[col] += scaled * residual;
+  }
+}
+
+void complete(Terms& t) {
+  for (int row = 1; row < 7; ++row)
+    for (int col = 0; col < row; ++col) t.hessian(row, col) = t.hessian(col, row);
+}
+
+/// With analytic derivatives.
+class Problem : public Pairs {
+ public:
+  static constexpr double kNoStep = 1e-9;  ///< a step this small ends the search
+
+  Problem(const Camera& camera, std::span<const SimilarityPair> pairs,
+          const SimilarityOptions& options)
+      : Pairs(camera, pairs, options) {
+    R_view_.reserve(pairs.size());
+    for (const SimilarityPair& p : pairs) R_view_.push_back(p.T_view_second.rotation.toRotationMatrix());
+  }
+
+  Terms linearise(const Sim3& s, bool robust) const {
+    Terms t;
+    const Sim3 inverse = s.inverse();
+    const Matrix3d there = s.scale * s.rotation.toRotationMatrix();
+    const Matrix3d back = inverse.scale * inverse.rotation.toRotationMatrix();
+    for (std::size_t i = 0; i < pairs_.size(); ++i) {
+      if (!active_[i]) continue;
+      const SimilarityPair& p = pairs_[i];
+      const Vector3d p_first = there * p.p_second + s.translation;
+      add(t, p_first, p_first, Matrix3d::Identity(), p.pixel_first, p.inv_sigma2_first, robust);
+      // S^-1 exp(-d) p moves by -S^-1's linear part times the perturbation of p.
+      const Vector3d p_view =
+          R_view_[i] * (back * p.p_first + inverse.translation) + p.T_view_second.translation;
+      add(t, p_view, p.p_first, -(R_view_[i] * back), p.pixel_view, p.inv_sigma2_view, robust);
+    }
+    complete(t);
+    return t;
+  }
+
+ private:
+  /// One reprojection of `p_seen`, which moves by `linear` times the perturbation of `p`:
+  /// d (exp(d) * p) / d d = [-hat(p), I, p] in the order rotation, translation, log scale.
+  void add(Terms& t, const Vector3d& p_seen, const Vector3d& p, const Matrix3d& linear,
+           const Eigen::Vector2d& pixel, double inv_sigma2, bool robust) const {
+    if (!camera_.is_projectable(p_seen)) {
+      t.cost += lost_cost();
+      return;
+    }
+    Eigen::Matrix<double, 2, 3> d_pixel;
+    const Eigen::Vector2d r = camera_.project(p_seen, &d_pixel) - pixel;
+    const double weight = inv_sigma2 * weigh(t, inv_sigma2 * r.squaredNorm(), robust);
+    const Eigen::Matrix<double, 2, 3> d_point = d_pixel * linear;
+    for (int k = 0; k < 2; ++k) {
+      const Vector3d g = d_point.row(k);
+      Vector7d j;
+      j << p.cross(g), g, g.dot(p);
+      add_row(t, j, weight, r[k]);
+    }
+  }
+
+  std::vector<Matrix3d> R_view_;  ///< [pairs] of T_view_second
+};
+
+/// As published: with central differences, every reprojection anew for each of them, and always as
+/// many iterations as allowed.
+class NumericProblem : public Pairs {
+ public:
+  static constexpr double kNoStep = 0;  ///< only the number of iterations ends the search
+
+  using Pairs::Pairs;
+
+  Terms linearise(const Sim3& s, bool robust) const {
+    Terms t;
+    std::array<Sim3, 14> moved, inverse;  // forwards and backwards along each unknown
+    for (int k = 0; k < 14; ++k) {
+      Vector7d d = Vector7d::Zero();
+      d[k / 2] = k % 2 == 0 ? kStep : -kStep;
+      const auto at = static_cast<std::size_t>(k);
+      moved[at] = Sim3::exp(d) * s;
+      inverse[at] = moved[at].inverse();
+    }
+    const Sim3 s_inverse = s.inverse();
+    for (std::size_t i = 0; i < pairs_.size(); ++i) {
+      if (!active_[i]) continue;
+      const SimilarityPair& p = pairs_[i];
+      const auto forth = [&](const Sim3& x) -> Vector3d { return x * p.p_second; };
+      const auto back = [&](const Sim3& x) -> Vector3d {
+        return p.T_view_second * (x * p.p_first);
+      };
+      add(t, s, moved, forth, p.pixel_first, p.inv_sigma2_first, robust);
+      add(t, s_inverse, inverse, back, p.pixel_view, p.inv_sigma2_view, robust);
+    }
+    complete(t);
+    return t;
+  }
+
+ private:
+  static constexpr double kStep = 1e-6;
+
+  template <class PointIn>
+  void add(Terms& t, const Sim3& s, const std::array<Sim3, 14>& moved, const PointIn& point_in,
+           const Eigen::Vector2d& pixel, double inv_sigma2, bool robust) const {
+    const Vector3d p = point_in(s);
+    if (!camera_.is_projectable(p)) {
+      t.cost += lost_cost();
+      return;
+    }
+    const Eigen::Vector2d r = camera_.project(p) - pixel;
+    Eigen::Matrix<double, 2, 7> j;
+    for (int k = 0; k < 7; ++k) {
+      const auto ahead = static_cast<std::size_t>(2 * k);
+      j.col(k) = (camera_.project(point_in(moved[ahead])) -
+                  camera_.project(point_in(moved[ahead + 1]))) / (2 * kStep);
+    }
+    const double weight = inv_sigma2 * weigh(t, inv_sigma2 * r.squaredNorm(), robust);
+    for (int k = 0; k < 2; ++k) add_row(t, j.row(k), weight, r[k]);
+  }
+};
+
+template <class AnyProblem>
+void minimise(const AnyProblem& problem, Sim3& s, int iterations, bool robust, bool fixed_scale) {
   double lambda = 1e-6;
   Terms now = problem.linearise(s, robust);
   for (int i = 0; i < iterations; ++i) {
@@ -117,34 +207,34 @@ void minimise(const Problem& problem, Sim3& s, int iterations, bool robust, bool
       g[6] = 0;
     }
     const Vector7d step = -h.ldlt().solve(g);
-    if (!step.allFinite()) return;
+    if (!step.allFinite() || step.norm() < AnyProblem::kNoStep) return;
     const Sim3 next = Sim3::exp(step) * s;
     const Terms there = problem.linearise(next, robust);
     if (there.cost < now.cost) {
       s = next;
       now = there;
       lambda = std::max(1e-9, lambda * 0.1);
-      if (step.norm() < 1e-9) return;
     } else {
       lambda = std::max(1e-4, lambda * 10);
     }
   }
 }
 
-}  // namespace
-
-SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_first_second,
-                                   std::span<const SimilarityPair> pairs,
-                                   const SimilarityOptions& options) {
+template <class AnyProblem>
+SimilarityResult refine(const Camera& camera, const Sim3& initial,
+                        std::span<const SimilarityPair> pairs, const SimilarityOptions& options) {
   SimilarityResult result;
-  result.S_first_second = initial_S_first_second;
+  result.S_first_second = initial;
   result.inlier.assign(pairs.size(), 0);
-  Problem problem(camera, pairs, options);
-  Sim3 s = initial_S_first_second;
+  AnyProblem problem(camera, pairs, options);
+  Sim3 s = initial;
   if (static_cast<int>(pairs.size()) < options.min_pairs || !s.is_finite()) return result;
   minimise(problem, s, options.iterations, true, options.fixed_scale);
-  if (problem.classify(s) < options.min_pairs) return result;
-  minimise(problem, s, options.iterations_after_gate, false, options.fixed_scale);
+  const int left = problem.classify(s);
+  if (left < options.min_pairs) return result;
+  const bool dropped = left < static_cast<int>(pairs.size());
+  minimise(problem, s, dropped ? options.iterations_after_gate : options.iterations, false,
+           options.fixed_scale);
   result.num_inliers = problem.classify(s);
   if (result.num_inliers < options.min_pairs) {
     result.num_inliers = 0;
@@ -153,6 +243,21 @@ SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_f
   result.S_first_second = s;
   result.inlier = problem.active();
   return result;
+}
+
+}  // namespace
+
+SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_first_second,
+                                   std::span<const SimilarityPair> pairs,
+                                   const SimilarityOptions& options) {
+  return refine<Problem>(camera, initial_S_first_second, pairs, options);
+}
+
+SimilarityResult refine_similarity_reference(const Camera& camera,
+                                             const Sim3& initial_S_first_second,
+                                             std::span<const SimilarityPair> pairs,
+                                             const SimilarityOptions& options) {
+  return refine<NumericProblem>(camera, initial_S_first_second, pairs, options);
 }
 
 }  // namespace fastloop::optimization

@@ -23,7 +23,7 @@ struct SimilarityPair {
 struct SimilarityOptions {
   double chi2_gate = 10;  ///< of either squared, normalised reprojection error
   bool fixed_scale = true;
-  int iterations = 5, iterations_after_gate = 10;
+  int iterations = 5, iterations_after_gate = 10;  ///< the latter when the gate dropped pairs
   int min_pairs = 10;  ///< fewer left after the gate: no result
 };
 
@@ -41,5 +41,11 @@ struct SimilarityResult {
 SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_first_second,
                                    std::span<const SimilarityPair> pairs,
                                    const SimilarityOptions& options = {});
+
+/// The same as published: derivatives by central differences. Its oracle and its baseline.
+SimilarityResult refine_similarity_reference(const Camera& camera,
+                                             const Sim3& initial_S_first_second,
+                                             std::span<const SimilarityPair> pairs,
+                                             const SimilarityOptions& options = {});
 
 }  // namespace fastloop::optimization

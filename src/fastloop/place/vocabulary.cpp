@@ -31,6 +31,23 @@ void check_tree(const VocabularyTree& tree) {
   }
 }
 
+/// Sorts by the bits from `shift` on, keeping the order of equals: a counting sort for each ten bits,
+/// several times as fast as comparing for a few thousand keys.
+void sort_by_bits(std::vector<std::uint64_t>& keys, int shift) {
+  constexpr int kBits = 10;
+  std::uint64_t used = 0;
+  for (const std::uint64_t key : keys) used |= key >> shift;
+  std::vector<std::uint64_t> sorted(keys.size());
+  for (; used != 0; used >>= kBits, shift += kBits) {
+    const auto digit = [shift](std::uint64_t key) { return key >> shift & ((1u << kBits) - 1u); };
+    std::array<std::uint32_t, (1 << kBits) + 1> next{};
+    for (const std::uint64_t key : keys) ++next[digit(key) + 1];
+    for (std::size_t d = 1; d < next.size(); ++d) next[d] += next[d - 1];
+    for (const std::uint64_t key : keys) sorted[next[digit(key)]++] = key;
+    keys.swap(sorted);
+  }
+}
+
 /// @param sorted  node << 16 | keypoint
 FeatureGroups group_keypoints(const std::vector<std::uint64_t>& sorted) {
   FeatureGroups groups;
@@ -99,8 +116,7 @@ BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors,
     descend(descriptors.subspan(begin, end - begin), reference, leaf.data() + begin,
             group.data() + begin);
   });
-  std::vector<std::uint32_t> words;
-  std::vector<std::uint64_t> grouped;  // group, then keypoint
+  std::vector<std::uint64_t> words, grouped;  // grouped: group, then keypoint
   words.reserve(descriptors.size());
   grouped.reserve(descriptors.size());
   for (std::size_t i = 0; i < descriptors.size(); ++i) {
@@ -109,8 +125,8 @@ BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors,
     words.push_back(word);
     grouped.push_back(std::uint64_t{group[i]} << 16 | i);
   }
-  std::sort(words.begin(), words.end());
-  std::sort(grouped.begin(), grouped.end());
+  sort_by_bits(words, 0);
+  sort_by_bits(grouped, 16);
 
   BagOfWords bag;
   bag.groups = group_keypoints(grouped);
@@ -119,7 +135,7 @@ BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors,
     const std::size_t begin = i;
     while (i < words.size() && words[i] == words[begin]) ++i;
     const float weight = static_cast<float>(i - begin) * word_weight_[words[begin]];
-    bag.vector.word.push_back(words[begin]);
+    bag.vector.word.push_back(static_cast<std::uint32_t>(words[begin]));
     bag.vector.weight.push_back(weight);
     sum += weight;
   }
