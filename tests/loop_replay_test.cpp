@@ -5,6 +5,7 @@
 #include <random>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/map/expectations_for_tests.hpp"
 #include "simulated_loop.hpp"
 
 /// Decisions replayed, and landmarks joined at once against one by one.
@@ -56,36 +57,6 @@ TEST(LoopReplay, RefusesARequestThatDoesNotFitTheMap) {
   EXPECT_EQ(request_of(loaded, "f").keyframe, KeyframeId(100));
 }
 
-void expect_equal(const map::Snapshot& a, const map::Snapshot& b) {
-  ASSERT_EQ(a.num_landmarks(), b.num_landmarks());
-  for (std::uint32_t i = 0; i < a.landmark_slots(); ++i) {
-    const map::Landmark &x = a.landmark(LandmarkId(i)), &y = b.landmark(LandmarkId(i));
-    ASSERT_EQ(x.anchor, y.anchor);
-    ASSERT_EQ(x.replaced_by, y.replaced_by);
-    ASSERT_EQ(x.visible, y.visible);
-    ASSERT_EQ(x.found, y.found);
-    ASSERT_EQ(x.observations.size(), y.observations.size());
-    for (std::size_t k = 0; k < x.observations.size(); ++k) {
-      ASSERT_EQ(x.observations[k].keyframe, y.observations[k].keyframe);
-      ASSERT_EQ(x.observations[k].keypoint, y.observations[k].keypoint);
-    }
-    if (x.removed()) continue;
-    ASSERT_EQ(x.descriptor, y.descriptor);
-    ASSERT_EQ(x.normal_anchor, y.normal_anchor);
-    ASSERT_EQ(x.min_distance_m, y.min_distance_m);
-    ASSERT_EQ(x.max_distance_m, y.max_distance_m);
-  }
-  for (std::uint32_t i = 0; i < a.keyframe_slots(); ++i) {
-    const KeyframeId id(i);
-    ASSERT_EQ(a.keyframe(id).landmarks, b.keyframe(id).landmarks);
-    ASSERT_EQ(a.covisible(id).size(), b.covisible(id).size());
-    for (std::size_t k = 0; k < a.covisible(id).size(); ++k) {
-      ASSERT_EQ(a.covisible(id)[k].keyframe, b.covisible(id)[k].keyframe);
-      ASSERT_EQ(a.covisible(id)[k].shared, b.covisible(id)[k].shared);
-    }
-  }
-}
-
 TEST(LandmarkFusion, AtOnceIsAsOneByOne) {
   sim::MapWorldOptions o = small_world(8);
   o.keyframes = 80;
@@ -113,7 +84,7 @@ TEST(LandmarkFusion, AtOnceIsAsOneByOne) {
     EXPECT_EQ(a.merged, b.merged);
     EXPECT_EQ(a.observed, b.observed);
     EXPECT_GT(a.merged, 10u);
-    expect_equal(one_by_one, at_once);
+    map::testing::expect_same_landmarks(one_by_one, at_once);
     EXPECT_EQ(at_once.find_inconsistency(), std::nullopt);
   }
 }
