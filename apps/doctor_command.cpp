@@ -17,6 +17,7 @@
 #include "commands.hpp"
 #include "fastloop/core/error.hpp"
 #include "fastloop/io/dataset.hpp"
+#include "machine.hpp"
 
 namespace fastloop::apps {
 namespace {
@@ -33,18 +34,6 @@ std::string fixed(double value, int decimals) {
   out.precision(decimals);
   out << value;
   return out.str();
-}
-
-/// Text after "key :" of the first such line in a file of /proc; empty when there is none.
-std::string proc_value(const char* file, const std::string& key) {
-  std::ifstream in(file);
-  for (std::string line; std::getline(in, line);) {
-    const auto colon = line.find(':');
-    if (!line.starts_with(key) || colon == std::string::npos) continue;
-    const auto begin = line.find_first_not_of(" \t", colon + 1);
-    return begin == std::string::npos ? "" : line.substr(begin);
-  }
-  return "";
 }
 
 /// The instruction sets that matter here, among those the CPU names.

@@ -14,11 +14,13 @@ int main(int argc, char** argv) {
   app.set_help_all_flag("--help-all", "Help of every command");
   int exit_code = apps::kExitOk;
   apps::add_eval_command(app, exit_code);
+  apps::add_bench_command(app, exit_code);
   apps::add_convert_calib_command(app, exit_code);
   apps::add_doctor_command(app, exit_code);
   apps::add_map_command(app, exit_code);
   apps::add_posegraph_command(app, exit_code);
   apps::add_replay_command(app, exit_code);
+  apps::add_report_command(app, exit_code);
   apps::add_run_command(app, exit_code);
   apps::add_simulate_command(app, exit_code);
   apps::add_simulate_map_command(app, exit_code);

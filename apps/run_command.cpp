@@ -10,11 +10,13 @@
 #include "fastloop/core/bounded_queue.hpp"
 #include "fastloop/core/error.hpp"
 #include "fastloop/core/logging.hpp"
+#include "fastloop/core/process_memory.hpp"
 #include "fastloop/io/dataset.hpp"
 #include "fastloop/io/options_yaml.hpp"
 #include "fastloop/io/run_output.hpp"
 #include "fastloop/map/map_file.hpp"
 #include "fastloop/system/system.hpp"
+#include "machine.hpp"
 
 namespace fastloop::apps {
 namespace {
@@ -93,6 +95,26 @@ class Progress {
   double shown_ = -10;
 };
 
+/// Memory and size of the map, once a second and at the end.
+class MemoryLog {
+ public:
+  void update(const system::System& system, bool last, io::RunFacts& facts) {
+    const double now = watch_.elapsed_ms() / 1e3;
+    if (system.frames().empty() || (!last && now - sampled_ < 1.0)) return;
+    sampled_ = now;
+    const auto map = system.snapshot();
+    const ProcessMemory memory = process_memory();
+    facts.peak_mib = memory.peak_mib;
+    facts.memory.push_back(
+        {to_seconds(system.frames().back().stamp_ns - system.frames().front().stamp_ns), now,
+         memory.resident_mib, map->num_keyframes(), map->num_landmarks()});
+  }
+
+ private:
+  Stopwatch watch_;
+  double sampled_ = -10;
+};
+
 /// Index of the first frame at or after the start time.
 std::size_t first_frame(const io::Dataset& dataset, double start_s) {
   std::size_t i = 0;
@@ -109,6 +131,7 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
       args.max_frames ? std::min(dataset.size(), begin + args.max_frames) : dataset.size();
   facts.frames_available = end - begin;
   Progress progress(end - begin, args.quiet);
+  MemoryLog memory;
   Prefetcher prefetcher(dataset, begin, end);
   std::size_t fed = begin;  ///< index of the last frame that was processed
   const auto start = std::chrono::steady_clock::now();
@@ -133,9 +156,11 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
     fed = item->index;
     system.process(item->frame);
     progress.update(system, false);
+    memory.update(system, false, facts);
   }
   system.finish();
   if (!system.frames().empty()) progress.update(system, true);
+  memory.update(system, true, facts);
 }
 
 int run(const RunArguments& args) {
@@ -163,6 +188,9 @@ int run(const RunArguments& args) {
   io::RunFacts facts;
   facts.dataset = std::filesystem::path(args.dataset).filename().string();
   facts.remarks = dataset->remarks();
+  if (const auto truth = dataset->ground_truth())
+    facts.ground_truth = std::filesystem::absolute(*truth).string();
+  facts.machine = machine_facts();
   facts.T_body_cam0 = dataset->calibration().cameras[0].T_body_camera;
 
   std::signal(SIGINT, [](int) { interrupted = true; });

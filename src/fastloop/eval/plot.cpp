@@ -1,13 +1,12 @@
 #include "fastloop/eval/plot.hpp"
 
 #include <algorithm>
-#include <array>
-#include <charconv>
 #include <cmath>
 #include <fstream>
 #include <utility>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/eval/svg.hpp"
 
 namespace fastloop::eval {
 namespace {
@@ -17,133 +16,8 @@ constexpr const char* kReferenceColour = "#555555";
 constexpr const char* kEstimateColour = "#1f6fc4";
 constexpr const char* kErrorColour = "#c4441f";
 
-/// Decimal text that does not depend on the locale.
-std::string number(double value, int decimals) {
-  if (std::abs(value) < 0.5 * std::pow(10.0, -decimals)) value = 0;
-  char buffer[400];
-  const auto end =
-      std::to_chars(buffer, buffer + sizeof buffer, value, std::chars_format::fixed, decimals).ptr;
-  return {buffer, end};
-}
+}  // namespace
 
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '&')
-      out += "&amp;";
-    else if (c == '<')
-      out += "&lt;";
-    else if (c == '>')
-      out += "&gt;";
-    else
-      out += c;
-  }
-  return out;
-}
-
-/// Collects SVG elements. Coordinates are pixels, y down.
-class Canvas {
- public:
-  void line(double x1, double y1, double x2, double y2, const char* colour, double width = 1) {
-    body_ += "<line x1=\"" + number(x1, 1) + "\" y1=\"" + number(y1, 1) + "\" x2=\"" +
-             number(x2, 1) + "\" y2=\"" + number(y2, 1) + "\" stroke=\"" + colour +
-             "\" stroke-width=\"" + number(width, 1) + "\"/>\n";
-  }
-  void text(double x, double y, const std::string& text, const char* anchor = "start",
-            int size = 13, bool upwards = false) {
-    body_ += "<text x=\"" + number(x, 1) + "\" y=\"" + number(y, 1) + "\" text-anchor=\"" + anchor +
-             "\" font-size=\"" + std::to_string(size) + "\"";
-    if (upwards) body_ += " transform=\"rotate(-90 " + number(x, 1) + " " + number(y, 1) + ")\"";
-    body_ += ">" + escaped(text) + "</text>\n";
-  }
-  void frame(double x, double y, double width, double height) {
-    body_ += "<rect x=\"" + number(x, 1) + "\" y=\"" + number(y, 1) + "\" width=\"" +
-             number(width, 1) + "\" height=\"" + number(height, 1) +
-             "\" fill=\"none\" stroke=\"#999999\"/>\n";
-  }
-  void dot(double x, double y, const char* colour) {
-    body_ += "<circle cx=\"" + number(x, 1) + "\" cy=\"" + number(y, 1) + "\" r=\"4\" fill=\"" +
-             colour + "\"/>\n";
-  }
-  void polyline(const std::string& points, const char* colour, double width) {
-    body_ += "<polyline fill=\"none\" stroke=\"" + std::string(colour) + "\" stroke-width=\"" +
-             number(width, 1) + "\" stroke-linejoin=\"round\" points=\"" + points + "\"/>\n";
-  }
-  std::string str() const {
-    const std::string size = number(kWidth, 0) + "\" height=\"" + number(kHeight, 0);
-    return "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"" + size + "\" viewBox=\"0 0 " +
-           number(kWidth, 0) + " " + number(kHeight, 0) +
-           "\" font-family=\"sans-serif\" fill=\"#222222\">\n"
-           "<rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n" +
-           body_ + "</svg>\n";
-  }
-
- private:
-  std::string body_;
-};
-
-/// A step of 1, 2 or 5 times a power of ten that cuts `span` into about `count` parts.
-double nice_step(double span, double count) {
-  const double raw = span / count;
-  const double power = std::pow(10.0, std::floor(std::log10(raw)));
-  for (const double factor : {1.0, 2.0, 5.0})
-    if (raw <= factor * power) return factor * power;
-  return 10 * power;
-}
-
-int decimals_of(double step) {
-  return std::max(0, static_cast<int>(-std::floor(std::log10(step) + 1e-9)));
-}
-
-/// One set of axes: data ranges mapped onto a rectangle of the canvas.
-struct Axes {
-  double left, top, width, height;
-  double x_min, x_max, y_min, y_max;
-
-  double x(double value) const { return left + (value - x_min) / (x_max - x_min) * width; }
-  double y(double value) const { return top + (y_max - value) / (y_max - y_min) * height; }
-
-  void draw(Canvas& canvas, const std::string& x_label, const std::string& y_label) const {
-    const double x_step = nice_step(x_max - x_min, width / 80);
-    for (double v = std::ceil(x_min / x_step) * x_step; v <= x_max; v += x_step) {
-      canvas.line(x(v), top, x(v), top + height, "#e4e4e4");
-      canvas.text(x(v), top + height + 18, number(v, decimals_of(x_step)), "middle", 12);
-    }
-    const double y_step = nice_step(y_max - y_min, height / 60);
-    for (double v = std::ceil(y_min / y_step) * y_step; v <= y_max; v += y_step) {
-      canvas.line(left, y(v), left + width, y(v), "#e4e4e4");
-      canvas.text(left - 7, y(v) + 4, number(v, decimals_of(y_step)), "end", 12);
-    }
-    canvas.frame(left, top, width, height);
-    canvas.text(left + width / 2, top + height + 38, x_label, "middle");
-    canvas.text(left - 50, top + height / 2, y_label, "middle", 13, true);
-  }
-};
-
-using Point = std::array<double, 2>;
-
-/// Draws a line through data points, broken where `breaks` says that the next point does not
-/// follow. Points nearer than half a pixel to the last drawn one are left out: they cannot be seen.
-void draw_line(Canvas& canvas, const Axes& axes, const std::vector<Point>& points,
-               const std::vector<bool>& breaks, const char* colour, double width) {
-  std::string piece;
-  Point last{};
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const Point pixel{axes.x(points[i][0]), axes.y(points[i][1])};
-    const bool gap = i > 0 && breaks[i];
-    if (gap) {
-      canvas.polyline(piece, colour, width);
-      piece.clear();
-    }
-    const bool visible = std::abs(pixel[0] - last[0]) + std::abs(pixel[1] - last[1]) > 0.5;
-    if (!piece.empty() && !visible && i + 1 < points.size()) continue;
-    piece += (piece.empty() ? "" : " ") + number(pixel[0], 1) + "," + number(pixel[1], 1);
-    last = pixel;
-  }
-  canvas.polyline(piece, colour, width);
-}
-
-/// True at the first pose after a gap of more than ten usual steps.
 std::vector<bool> gaps(const std::vector<Nanoseconds>& stamps_ns) {
   std::vector<bool> result(stamps_ns.size(), false);
   if (stamps_ns.size() < 3) return result;
@@ -157,7 +31,6 @@ std::vector<bool> gaps(const std::vector<Nanoseconds>& stamps_ns) {
   return result;
 }
 
-/// The two axes in which the reference moves most, in the order x, y, z; x and y when it is close.
 std::pair<int, int> view_axes(const std::vector<SE3>& poses) {
   Vector3d low = poses[0].translation, high = low;
   for (const SE3& pose : poses) {
@@ -169,6 +42,8 @@ std::pair<int, int> view_axes(const std::vector<SE3>& poses) {
   if (extent.x() < 0.5 * extent.z()) return {1, 2};
   return {0, 1};
 }
+
+namespace {
 
 std::vector<Point> projected(const std::vector<SE3>& poses, std::pair<int, int> axes) {
   std::vector<Point> points;
@@ -235,24 +110,24 @@ void draw_legend(Canvas& canvas, const Evaluation& e) {
   key(kReferenceColour, "ground truth");
   key(kEstimateColour, e.alignment.scale == 1
                            ? std::string("estimate")
-                           : "estimate, scaled by " + number(e.alignment.scale, 4));
+                           : "estimate, scaled by " + decimal(e.alignment.scale, 4));
   y += 6;
-  row("ATE", "RMSE " + number(e.ate_m.rmse, 4) + " m,  median " + number(e.ate_m.median, 4) +
-                 " m,  max " + number(e.ate_m.max, 4) + " m");
-  row("of the path", number(e.ate_percent, 3) + " %  of  " + number(e.path_length_m, 2) + " m");
+  row("ATE", "RMSE " + decimal(e.ate_m.rmse, 4) + " m,  median " + decimal(e.ate_m.median, 4) +
+                 " m,  max " + decimal(e.ate_m.max, 4) + " m");
+  row("of the path", decimal(e.ate_percent, 3) + " %  of  " + decimal(e.path_length_m, 2) + " m");
   row("matched", std::to_string(e.errors_m.size()) + " of " + std::to_string(e.estimate_poses) +
-                     " poses,  coverage " + number(100 * e.coverage, 1) + " %");
+                     " poses,  coverage " + decimal(100 * e.coverage, 1) + " %");
   if (!e.rpe) return;
-  row("RPE over " + number(e.rpe->seconds, 2) + " s",
-      "RMSE " + number(e.rpe->translation_m.rmse, 4) + " m,  " +
-          number(e.rpe->rotation_deg.rmse, 3) + " deg");
+  row("RPE over " + decimal(e.rpe->seconds, 2) + " s",
+      "RMSE " + decimal(e.rpe->translation_m.rmse, 4) + " m,  " +
+          decimal(e.rpe->rotation_deg.rmse, 3) + " deg");
 }
 
 }  // namespace
 
 std::string to_svg(const Evaluation& evaluation, const std::string& title) {
   if (evaluation.reference.empty()) throw InvalidArgument("to_svg: nothing to draw");
-  Canvas canvas;
+  Canvas canvas(kWidth, kHeight);
   canvas.text(80, 34, title, "start", 17);
   draw_paths(canvas, evaluation);
   draw_errors(canvas, evaluation);

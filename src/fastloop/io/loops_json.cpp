@@ -51,6 +51,13 @@ std::string loop_record_json(const system::LoopRecord& record, bool times) {
   if (times) {
     Json stages;
     for (const auto& [stage, ms] : r.times_ms) stages[stage] = ms;
+    if (record.correction) {
+      const map::CorrectionOutcome::Times& t = record.correction->times;
+      stages["apply_check"] = t.check_ms;
+      stages["apply_poses"] = t.poses_ms;
+      stages["apply_landmarks"] = t.landmarks_ms;
+      stages["apply_covisibility"] = t.covisibility_ms;
+    }
     j["times_ms"] = stages;
   }
   return j.dump();

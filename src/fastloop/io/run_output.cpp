@@ -1,6 +1,7 @@
 #include "fastloop/io/run_output.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <exception>
 #include <fstream>
@@ -138,6 +139,33 @@ Json tracking_around_loops(const system::System& system) {
           {"worst_elsewhere_ms", e.max_ms}};
 }
 
+/// Time of each frame's tracking, in short numbers: microseconds are below what can be repeated.
+Json tracking_by_frame(const system::System& system) {
+  const auto rounded = [](double v) { return std::round(v * 1e3) / 1e3; };
+  Json t = Json::array(), ms = Json::array();
+  for (const system::FrameRecord& f : system.frames()) {
+    t.push_back(rounded(to_seconds(f.stamp_ns - system.frames().front().stamp_ns)));
+    ms.push_back(rounded(f.tracking_ms));
+  }
+  return {{"t_s", t}, {"ms", ms}};
+}
+
+Json memory_json(const RunFacts& facts) {
+  Json samples = Json::array();
+  for (const MemorySample& m : facts.memory)
+    samples.push_back({{"t_s", m.t_s},
+                       {"wall_s", m.wall_s},
+                       {"resident_mib", m.resident_mib},
+                       {"keyframes", m.keyframes},
+                       {"landmarks", m.landmarks}});
+  return {{"peak_mib", facts.peak_mib}, {"samples", samples}};
+}
+
+Json machine_json(const MachineFacts& m) {
+  return {{"cpu", m.cpu},           {"cores", m.cores}, {"memory_gib", m.memory_gib},
+          {"compiler", m.compiler}, {"build", m.build}, {"commit", m.commit}};
+}
+
 void write_timing(const std::filesystem::path& path, const system::System& system,
                   const RunFacts& facts) {
   Json stages = Json::object();
@@ -160,6 +188,10 @@ void write_timing(const std::filesystem::path& path, const system::System& syste
   }
   j["track_p50_ms_by_fifth"] = fifths;
   j["track_around_loops"] = tracking_around_loops(system);
+  j["memory"] = memory_json(facts);
+  j["machine"] = machine_json(facts.machine);
+  j["first_stamp_ns"] = system.frames().empty() ? 0 : system.frames().front().stamp_ns;
+  j["track_by_frame"] = tracking_by_frame(system);
   write_file(path, j.dump(2) + "\n");
 }
 
@@ -193,6 +225,7 @@ void write_summary(const std::filesystem::path& path, const system::System& syst
           : to_seconds(system.frames().back().stamp_ns - system.frames().front().stamp_ns);
   j["interrupted"] = facts.interrupted;
   j["remarks"] = facts.remarks;
+  j["ground_truth"] = facts.ground_truth.empty() ? Json() : Json(facts.ground_truth);
   write_file(path, j.dump(2) + "\n");
 }
 

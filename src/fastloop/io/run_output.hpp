@@ -8,6 +8,21 @@
 
 namespace fastloop::io {
 
+/// Memory and size of the map at one time of a run.
+struct MemorySample {
+  double t_s = 0;     ///< time of the data set since its first processed frame
+  double wall_s = 0;  ///< since the run began
+  double resident_mib = 0;
+  std::size_t keyframes = 0, landmarks = 0;
+};
+
+/// The computer and the program; empty or 0 where it is not known.
+struct MachineFacts {
+  std::string cpu, compiler, build, commit;
+  unsigned cores = 0;
+  double memory_gib = 0;
+};
+
 /// Facts of a run that the system itself does not know.
 struct RunFacts {
   std::string dataset;
@@ -16,6 +31,10 @@ struct RunFacts {
   bool interrupted = false;
   std::vector<std::string> remarks;  ///< of the data set
   SE3 T_body_cam0;
+  std::string ground_truth;  ///< file of the data set; empty when it has none
+  std::vector<MemorySample> memory;
+  double peak_mib = 0;
+  MachineFacts machine;
 };
 
 /// Creates the folder and checks that files can be written there.
