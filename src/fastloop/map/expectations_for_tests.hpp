@@ -30,7 +30,9 @@ inline void expect_same_landmarks(const Snapshot& a, const Snapshot& b) {
   ASSERT_EQ(a.keyframe_slots(), b.keyframe_slots());
   for (std::uint32_t i = 0; i < a.keyframe_slots(); ++i) {
     const KeyframeId id(i);
-    ASSERT_EQ(a.keyframe(id).landmarks, b.keyframe(id).landmarks);
+    ASSERT_EQ(a.keyframe(id).landmarks.size(), b.keyframe(id).landmarks.size());
+    for (std::size_t k = 0; k < a.keyframe(id).landmarks.size(); ++k)
+      ASSERT_EQ(a.keyframe(id).landmarks[k], b.keyframe(id).landmarks[k]);
     ASSERT_EQ(a.covisible(id).size(), b.covisible(id).size());
     for (std::size_t k = 0; k < a.covisible(id).size(); ++k) {
       ASSERT_EQ(a.covisible(id)[k].keyframe, b.covisible(id)[k].keyframe);

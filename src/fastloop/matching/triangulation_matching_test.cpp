@@ -99,6 +99,53 @@ TEST_P(TriangulationMatching, FindsTruePointsAndOnlyThoseOnTheEpipolarCurve) {
   EXPECT_GT(off, 20);
 }
 
+TEST_P(TriangulationMatching, ExecutorsAgreeOnRandomScenes) {
+  int situations = 0, found = 0;
+  for (unsigned seed = 0; seed < 100; ++seed) {
+    std::mt19937 rng(seed);
+    std::uniform_real_distribution<double> u(-1, 1);
+    first_ = second_ = FeatureSet();
+    first_blocked_ = second_blocked_ = {};
+    std::vector<Descriptor> looks;  // a few that many points share: ties
+    for (int i = 0; i < 3; ++i) looks.push_back(testing::random_descriptor(rng));
+    // Nothing, one point, many in front and behind, and all within a cell of the grid.
+    static constexpr int kSizes[] = {0, 1, 40, 150};
+    const int count = kSizes[seed % 4];
+    const double spread = seed % 8 == 7 ? 0.01 : 2.5;
+    for (int i = 0; i < count; ++i) {
+      const double depth = seed % 3 == 0 && i % 4 == 0 ? -4 : 4;
+      add_point({spread * u(rng), spread * u(rng), depth + u(rng)}, rng,
+                3 * Eigen::Vector2d(u(rng), u(rng)), i % 3 == 0);
+    }
+    for (FeatureSet* f : {&first_, &second_})
+      for (std::size_t i = 0; i < f->size(); ++i) {
+        f->octave[i] = static_cast<std::uint8_t>(rng() % 4);
+        if (seed % 5 == 0 && i % 2 == 0) f->descriptors[i] = looks[i / 2 % 3];
+      }
+    if (seed % 4 == 3)
+      for (std::size_t i = 0; i < first_.size(); ++i) {
+        first_blocked_.push_back(rng() % 4 == 0);
+        second_blocked_.push_back(rng() % 4 == 0);
+      }
+    TriangulationMatchOptions options;
+    options.check_rotation = seed % 2;
+    options.min_epipole_px = seed % 6 == 0 ? 0 : 10;
+    SCOPED_TRACE(seed);
+    const auto pairs = match(options);  // compares the executors
+    std::vector<std::uint8_t> taken(second_.size(), 0);
+    for (const IndexPair& p : pairs) {
+      EXPECT_FALSE(taken[p.second]++);
+      if (!first_blocked_.empty()) {
+        EXPECT_FALSE(first_blocked_[p.first] || second_blocked_[p.second]);
+      }
+    }
+    ++situations;
+    found += static_cast<int>(pairs.size());
+  }
+  EXPECT_GE(situations, 100);  // and as many with the other camera
+  EXPECT_GT(found, 500);
+}
+
 TEST_P(TriangulationMatching, HigherOctavesAreLessPrecise) {
   std::mt19937 rng(22);
   const SE3 T_second_first = second_pose_ * first_pose_.inverse();

@@ -207,10 +207,17 @@ void minimise(const AnyProblem& problem, Sim3& s, int iterations, bool robust, b
       g[6] = 0;
     }
     const Vector7d step = -h.ldlt().solve(g);
-    if (!step.allFinite() || step.norm() < AnyProblem::kNoStep) return;
+    if (!step.allFinite()) return;
     const Sim3 next = Sim3::exp(step) * s;
+    const double length = step.norm();
+    if (length < AnyProblem::kNoStep) {
+      s = next;
+      return;
+    }
     const Terms there = problem.linearise(next, robust);
-    if (there.cost < now.cost) {
+    // Steps this short end below what the cost can tell, but not below what the gradient can: both
+    // ways of differentiating arrive at the same place to 1e-9.
+    if (there.cost < now.cost || length < 1e-6) {
       s = next;
       now = there;
       lambda = std::max(1e-9, lambda * 0.1);
