@@ -16,15 +16,6 @@ std::vector<matching::ProjectionMatches> search_keyframes(const Executor& execut
   rule.radius_px = radius_px;
   rule.max_distance = max_distance;
   std::vector<matching::ProjectionMatches> found(moved.size());
-  if (executor.kind() == Executor::Kind::kReference) {
-    // As published, every search visits the landmarks where the map keeps them.
-    for (std::size_t t = 0; t < moved.size(); ++t) {
-      const map::LandmarkArrays visited(snapshot, cloud.ids);
-      matching::search_by_projection(executor, snapshot.rig(), snapshot.scales(), {&targets[t], 1},
-                                     visited.view(), rule, {&found[t], 1});
-    }
-    return found;
-  }
   matching::search_by_projection(executor, snapshot.rig(), snapshot.scales(), targets, cloud.view(),
                                  rule, found);
   return found;

@@ -15,8 +15,7 @@ struct MovedKeyframe {
 };
 
 /// Every landmark of a place searched in every keyframe, by the rule of loop closing: PS1 to PS3 and
-/// loop fusion differ in radius and distance only. The landmarks are gathered once for all searches;
-/// the reference visits them in the map for each, as published.
+/// loop fusion differ in radius and distance only.
 /// @return [moved]
 std::vector<matching::ProjectionMatches> search_keyframes(const Executor& executor,
                                                           const map::Snapshot& snapshot,

@@ -6,6 +6,7 @@
 #include "fastloop/core/ids.hpp"
 #include "fastloop/core/time.hpp"
 #include "fastloop/features/feature_set.hpp"
+#include "fastloop/map/cow_pointer.hpp"
 #include "fastloop/sensor/imu.hpp"
 
 namespace fastloop::map {
@@ -17,13 +18,36 @@ struct KeyframeData {
   std::shared_ptr<const FeatureSet> features;
 };
 
+/// The landmark that each keypoint of a keyframe shows; invalid: none. Copies share the list until
+/// one is written to, so that moving a keyframe does not copy a thousand ids.
+class KeypointLandmarks {
+ public:
+  KeypointLandmarks() = default;
+  explicit KeypointLandmarks(std::vector<LandmarkId> ids) : ids_(std::move(ids)) {}
+
+  const std::vector<LandmarkId>& ids() const { return *ids_; }
+  operator const std::vector<LandmarkId>&() const { return *ids_; }
+  std::size_t size() const { return ids_->size(); }
+  bool empty() const { return ids_->empty(); }
+  LandmarkId operator[](std::size_t keypoint) const { return (*ids_)[keypoint]; }
+  auto begin() const { return ids_->begin(); }
+  auto end() const { return ids_->end(); }
+
+  bool operator==(const KeypointLandmarks& o) const { return *ids_ == *o.ids_; }
+
+  void set(std::size_t keypoint, LandmarkId id) { ids_.mutate()[keypoint] = id; }
+
+ private:
+  CowPointer<std::vector<LandmarkId>> ids_;
+};
+
 /// A keyframe as the map knows it. A removed keyframe keeps its place in the list (ids are indices)
 /// and its pose relative to a live one, so that trajectories through it stay defined.
 struct Keyframe {
   std::shared_ptr<const KeyframeData> data;
   MapId map;
   NavState state;                     ///< T_world_body, velocity, bias
-  std::vector<LandmarkId> landmarks;  ///< [num_keypoints]; invalid = none; emptied on removal
+  KeypointLandmarks landmarks;        ///< [num_keypoints]; emptied on removal
   KeyframeId parent;                  ///< spanning tree; invalid at the root of a map
   KeyframeId previous, next;          ///< temporal neighbours among live keyframes of the map
   std::shared_ptr<const PreintegratedImu> imu_from_previous;  ///< null without IMU or at a gap

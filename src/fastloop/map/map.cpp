@@ -35,7 +35,7 @@ KeyframeId Map::add_keyframe(MapId map_id, std::shared_ptr<const KeyframeData> d
   const KeyframeId id(static_cast<std::uint32_t>(keyframes_.size()));
   MapInfo& info = maps_.at(map_id.value());
   Keyframe k;
-  k.landmarks.assign(data->features->size(), LandmarkId{});
+  k.landmarks = KeypointLandmarks(std::vector<LandmarkId>(data->features->size()));
   k.data = std::move(data);
   k.map = map_id;
   k.state = state;
@@ -76,8 +76,7 @@ void Map::remove_keyframe(KeyframeId id) {
   k.anchor_of_removed = k.parent.valid() ? k.parent : k.previous;
   k.T_anchor_body = T_world_body(k.anchor_of_removed).inverse() * k.state.T_world_body;
   k.removed = true;
-  k.landmarks.clear();
-  k.landmarks.shrink_to_fit();
+  k.landmarks = {};
   // The features of a removed keyframe are never read again: only its stamp and frame are kept.
   auto bare = std::make_shared<KeyframeData>(*k.data);
   bare->features = nullptr;
@@ -126,7 +125,7 @@ void Map::remove_landmark(LandmarkId id) {
   if (!contains(id)) return;
   const std::vector<Observation> observations = landmark(id).observations;
   for (const Observation& o : observations) {
-    keyframes_.mutate(o.keyframe.value()).landmarks[o.keypoint] = LandmarkId{};
+    keyframes_.mutate(o.keyframe.value()).landmarks.set(o.keypoint, LandmarkId{});
     for (const Observation& other : observations)
       if (other.keyframe < o.keyframe) change_shared(o.keyframe, other.keyframe, -1);
   }
@@ -148,7 +147,7 @@ bool Map::add_observation(LandmarkId id, KeyframeId keyframe_id, std::uint32_t k
   auto& observations = landmarks_.mutate(id.value()).observations;
   observations.insert(lower_bound_keyframe(observations, keyframe_id),
                       Observation{keyframe_id, keypoint});
-  keyframes_.mutate(keyframe_id.value()).landmarks[keypoint] = id;
+  keyframes_.mutate(keyframe_id.value()).landmarks.set(keypoint, id);
   ++version_;
   return true;
 }
@@ -164,7 +163,7 @@ void Map::remove_observation(LandmarkId id, KeyframeId keyframe_id, int min_obse
   const Vector3d p = p_world(id);
   Landmark& l = landmarks_.mutate(id.value());
   const auto it = lower_bound_keyframe(l.observations, keyframe_id);
-  keyframes_.mutate(keyframe_id.value()).landmarks[it->keypoint] = LandmarkId{};
+  keyframes_.mutate(keyframe_id.value()).landmarks.set(it->keypoint, LandmarkId{});
   l.observations.erase(it);
   for (const Observation& o : l.observations) change_shared(keyframe_id, o.keyframe, -1);
   if (l.anchor == keyframe_id) {

@@ -129,7 +129,7 @@ class MapFileAccess {
     r.section("sees");
     for (KeyframeEntry& e : entries) {
       r.entry();
-      e.keyframe.landmarks = get_landmark_ids(r, n);
+      e.keyframe.landmarks = KeypointLandmarks(get_landmark_ids(r, n));
       r.require(e.keyframe.removed || e.keyframe.landmarks.size() == e.data->features->size(),
                 "a keyframe has another number of keypoints");
       map.keyframes_.push_back(std::move(e.keyframe));

@@ -93,13 +93,13 @@ class LandmarkFusion {
     // Pairs that saw the loser together now see the winner; new are those across.
     for (const Observation& o : joined.moved) {
       changes_.add(o.keyframe, map_.landmark(winner).observations, +1);
-      map_.keyframes_.mutate(o.keyframe.value()).landmarks[o.keypoint] = winner;
+      map_.keyframes_.mutate(o.keyframe.value()).landmarks.set(o.keypoint, winner);
     }
     for (std::size_t i = 0; i < joined.refused.size(); ++i) {
       const Observation& o = joined.refused[i];
       changes_.add(o.keyframe, joined.moved, -1);
       changes_.add(o.keyframe, std::span(joined.refused).first(i), -1);
-      map_.keyframes_.mutate(o.keyframe.value()).landmarks[o.keypoint] = LandmarkId{};
+      map_.keyframes_.mutate(o.keyframe.value()).landmarks.set(o.keypoint, LandmarkId{});
     }
     Landmark& gone = map_.landmarks_.mutate(loser.value());
     gone.anchor = KeyframeId{};
@@ -126,7 +126,7 @@ class LandmarkFusion {
     auto& observations = map_.landmarks_.mutate(id.value()).observations;
     observations.insert(std::upper_bound(observations.begin(), observations.end(), added, earlier),
                         added);
-    map_.keyframes_.mutate(keyframe.value()).landmarks[keypoint] = id;
+    map_.keyframes_.mutate(keyframe.value()).landmarks.set(keypoint, id);
     touched_.push_back(id);
     return true;
   }
