@@ -105,5 +105,36 @@ TEST(PosesOfBothBackEnds, AgreeOnLargeMaps) {
     }
 }
 
+TEST(BothBackEnds, DecideAlikeInTwoHundredWorlds) {
+  int accepted = 0, refused = 0;
+  for (unsigned seed = 100; seed < 300; ++seed) {
+    sim::MapWorldOptions o = small_world(seed);
+    o.keyframes = 90;
+    o.covisible = 10;
+    o.features = seed % 6 == 1 ? 170 : 450;  // too few to confirm
+    o.fisheye = seed % 2;
+    o.inertial = seed % 4 >= 2;
+    o.two_maps = seed % 5 == 0;
+    o.noise_px = seed % 9 == 4 ? 4 : 0.5;
+    o.drift_scale = seed % 11 == 3 ? 10 : 1;
+    const sim::SimulatedMap world = sim::simulate_map(o);
+    LoopRequest request;
+    request.keyframe = world.current;
+    request.inertial = o.inertial;
+    const auto snapshot = world.map.publish();
+    const ReplayRun reference = LoopReplay(snapshot, request, Backend::kReference).run();
+    const ReplayRun cpu = LoopReplay(snapshot, request, Backend::kCpu).run();
+    SCOPED_TRACE(::testing::Message() << "seed " << seed << "\n" << describe(cpu.outcome.report));
+    ASSERT_EQ(decision_digest(reference.outcome), decision_digest(cpu.outcome));
+    ASSERT_LT(largest_pose_difference(reference.outcome, cpu.outcome), kPoseTolerance);
+    EXPECT_EQ(reference.applied.applied, cpu.applied.applied);
+    EXPECT_EQ(reference.applied.merged, cpu.applied.merged);
+    EXPECT_EQ(reference.applied.observed, cpu.applied.observed);
+    ++(cpu.outcome.correction ? accepted : refused);
+  }
+  EXPECT_GT(accepted, 100);
+  EXPECT_GT(refused, 20);
+}
+
 }  // namespace
 }  // namespace fastloop::system
