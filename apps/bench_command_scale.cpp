@@ -1,3 +1,5 @@
+#include <malloc.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -8,7 +10,6 @@
 #include "bench_support.hpp"
 #include "commands.hpp"
 #include "fastloop/core/error.hpp"
-#include "fastloop/core/process_memory.hpp"
 #include "fastloop/eval/replay_table.hpp"
 #include "fastloop/io/run_output.hpp"
 #include "fastloop/io/text.hpp"
@@ -54,13 +55,19 @@ std::vector<int> parse_sizes(const std::string& text) {
   return sizes;
 }
 
+/// What the program holds of the heap; what was freed and kept for later does not count.
+double heap_mib() {
+  const struct mallinfo2 heap = mallinfo2();
+  return static_cast<double>(heap.uordblks + heap.hblkhd) / (1 << 20);
+}
+
 eval::ReplayCase measure_size(int size, const Arguments& a, eval::ReplayPlan plan) {
   sim::MapWorldOptions world = a.world;
   world.keyframes = size;
-  const double before_mib = process_memory().resident_mib;
+  const double before_mib = heap_mib();
   const sim::SimulatedMap simulated = sim::simulate_map(world);
   // What the simulator needed to know of the world is in here, too; a few bytes of a keypoint.
-  const double map_mib = process_memory().resident_mib - before_mib;
+  const double map_mib = heap_mib() - before_mib;
   loop::LoopRequest request;
   request.keyframe = simulated.current;
   request.inertial = world.inertial;

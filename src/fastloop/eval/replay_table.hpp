@@ -15,7 +15,7 @@ struct ReplayCase {
   std::string name;
   std::size_t keyframes = 0, landmarks = 0;
   std::size_t poses = 0, edges = 0;  ///< of the pose graph, without the pairs that this loop joins
-  double map_mib = 0;                ///< resident memory that the map took; 0: not measured
+  double map_mib = 0;                ///< heap that the map holds; 0: not measured
   std::string verdict, reason;
   bool merge = false;
   bool decisions_equal = true;            ///< all back ends took the same ones

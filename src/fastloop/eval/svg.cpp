@@ -137,8 +137,8 @@ void Axes::draw(Canvas& canvas, const std::string& x_label, const std::string& y
     canvas.line(x(v), top, x(v), top + height, "#e4e4e4");
     canvas.text(x(v), top + height + 18, tick_text(v, x_log, x_step), "middle", 12);
   }
-  const double y_step = nice_step(y_max - y_min, height / 60);
-  for (const double v : ticks(y_min, y_max, y_log, height / 60)) {
+  const double y_step = nice_step(y_max - y_min, height / 50);
+  for (const double v : ticks(y_min, y_max, y_log, height / 50)) {
     canvas.line(left, y(v), left + width, y(v), "#e4e4e4");
     canvas.text(left - 7, y(v) + 4, tick_text(v, y_log, y_step), "end", 12);
   }
