@@ -185,14 +185,15 @@ FASTLOOP_INLINE void add_run(double* to, const double* from, int n) {
 }
 
 template <int D>
-static void add_child(const FrontView& f, const ChildView& child) {
+static void add_child(const FrontView& f, const ChildView& child, const double* scratch) {
+  const double* schur = (child.schur != nullptr ? child.schur : scratch) + child.schur_offset;
   const int rhs_row = (f.pivots + f.below) * D, child_rhs_row = child.blocks * D;
   int run = 0;
   for (int j = 0; j < child.blocks; ++j) {
     while (child.runs[run].first + child.runs[run].count <= j) ++run;
     std::ptrdiff_t stride;
     double* to = front_column<D>(f, child.position[j], stride);
-    const double* from = child.schur + static_cast<std::ptrdiff_t>(j) * D * child.stride;
+    const double* from = schur + static_cast<std::ptrdiff_t>(j) * D * child.stride;
     for (int r = run; r < child.num_runs; ++r) {
       const int first = child.runs[r].first > j ? child.runs[r].first : j;
       const int n = (child.runs[r].first + child.runs[r].count - first) * D;
@@ -255,7 +256,10 @@ static void add_damping(const PassContext& ctx, const FrontView& f) {
 }
 
 template <EdgeModel M>
-static bool factor_front(const PassContext& ctx, const FrontView& f, BatchCursor& cursor) {
+static bool factor_front(const PassContext& ctx, const FrontView& front, BatchCursor& cursor,
+                         double* scratch) {
+  FrontView f = front;
+  if (f.schur == nullptr) f.schur = scratch + f.schur_offset;
   constexpr int D = ModelTraits<M>::kTangent;
   set_zero(f.panel, static_cast<std::size_t>(f.panel_stride) * f.pivots * D);
   for (int j = 0; j < f.below * D; ++j) {
@@ -269,7 +273,7 @@ static bool factor_front(const PassContext& ctx, const FrontView& f, BatchCursor
     const int lane = slot % kLanes;
     add_edge<D>(f, f.edge_position + 2 * slot, cursor.hessian + lane, cursor.gradient + lane);
   }
-  for (int c = 0; c < f.num_children; ++c) add_child<D>(f, f.children[c]);
+  for (int c = 0; c < f.num_children; ++c) add_child<D>(f, f.children[c], scratch);
   if (ctx.lambda > 0) add_damping<D>(ctx, f);
   return eliminate<D>(f);
 }

@@ -59,7 +59,9 @@ struct Run {
 };
 
 struct ChildView {
-  const double* schur = nullptr;  ///< address of row 0, column 0 of the child's update matrix
+  const double* schur = nullptr;  ///< of all fronts in reach of any thread, or null
+  /// Row 0, column 0 of the child's update matrix in that memory, or in the scratch.
+  std::size_t schur_offset = 0;
   int stride = 0;
   int blocks = 0;                          ///< without the right-hand side
   const std::int32_t* position = nullptr;  ///< [blocks] in the parent front
@@ -74,7 +76,9 @@ struct ChildView {
 struct FrontView {
   double* panel = nullptr;  ///< [pivots * D columns] of stride panel_stride
   int panel_stride = 0;
-  double* schur = nullptr;  ///< [below * D columns], row 0 is front row `schur_first_row`
+  double* schur = nullptr;       ///< [below * D columns], row 0 is front row `schur_first_row`;
+                                 ///< null: in the scratch of the thread
+  std::size_t schur_offset = 0;  ///< into that scratch
   int schur_stride = 0;
   int schur_first_row = 0;  ///< a multiple of kRowAlign
   int pivots = 0, below = 0;
@@ -96,8 +100,8 @@ struct BatchCursor {
 
 struct ModelKernels {
   /// Assembles a front from edges, damping and children, and eliminates its pivots. False: not
-  /// positive definite.
-  bool (*factor)(const PassContext&, const FrontView&, BatchCursor&) = nullptr;
+  /// positive definite. `scratch` holds the update matrices of the task at hand.
+  bool (*factor)(const PassContext&, const FrontView&, BatchCursor&, double* scratch) = nullptr;
   /// Right-hand side only, with the factor of an earlier `factor`: refreshes the last row of the
   /// panel.
   void (*forward)(const PassContext&, const FrontView&, BatchCursor&, double* work) = nullptr;

@@ -66,6 +66,10 @@ void Passes::set_threads(int threads) {
   }
 }
 
+int Passes::threads() const { return threads_ ? threads_->count : 1; }
+
+int Passes::slot() const { return threads_ ? tbb::this_task_arena::current_thread_index() : 0; }
+
 void Passes::bottom_up(const SymbolicPlan& plan, IndexedBody body) {
   const std::size_t n = plan.tasks.size();
   if (!threads_) {

@@ -51,6 +51,9 @@ class Passes {
   Passes();
   ~Passes();
   void set_threads(int threads);
+  int threads() const;
+  /// Number of the calling thread among those of a pass, in [0, threads()).
+  int slot() const;
   /// Calls body(task) after all tasks that feed it.
   void bottom_up(const SymbolicPlan& plan, IndexedBody body);
   /// Calls body(task) after the task it feeds.

@@ -266,7 +266,8 @@ void build_tasks(SymbolicPlan& plan, int block_size) {
   }
 }
 
-/// Memory of one task's update matrices: a front's slot is free again once its parent has read it.
+/// Memory of one task's update matrices: a front's slot is free again once its parent has read it,
+/// and the next front gets the lowest free one, which is the one most likely still in the cache.
 class SlotAllocator {
  public:
   std::size_t allocate(std::size_t size) {
@@ -296,7 +297,7 @@ std::size_t schur_doubles(const Front& f, int block_size) {
 }
 
 void assign_memory(SymbolicPlan& plan, int block_size) {
-  plan.panel_size = plan.schur_size = plan.rhs_size = 0;
+  plan.panel_size = plan.schur_size = plan.scratch_size = plan.rhs_size = 0;
   for (Front& f : plan.fronts) {
     const int pivots = f.pivots * block_size, rows = pivots + f.below * block_size + 1;
     f.panel_stride = (rows + kRowAlign - 1) / kRowAlign * kRowAlign;
@@ -311,14 +312,19 @@ void assign_memory(SymbolicPlan& plan, int block_size) {
     SlotAllocator slots;
     for (std::size_t i = t.begin; i < t.end; ++i) {
       Front& f = plan.fronts[plan.task_fronts[i]];
-      f.schur_offset = plan.schur_size + slots.allocate(schur_doubles(f, block_size));
+      f.schur_shared = f.parent >= 0 && plan.fronts[f.parent].task != f.task;
+      if (f.schur_shared) {
+        f.schur_offset = plan.schur_size;
+        plan.schur_size += schur_doubles(f, block_size);
+      } else {
+        f.schur_offset = slots.allocate(schur_doubles(f, block_size));
+      }
       for (int c = 0; c < f.num_children; ++c) {
         const Front& child = plan.fronts[plan.children[f.children + c]];
-        if (child.task == f.task && child.below > 0)
-          slots.release(child.schur_offset - plan.schur_size);
+        if (!child.schur_shared && child.below > 0) slots.release(child.schur_offset);
       }
     }
-    plan.schur_size += slots.peak();
+    plan.scratch_size = std::max(plan.scratch_size, slots.peak());
   }
 }
 

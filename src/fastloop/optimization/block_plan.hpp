@@ -22,7 +22,11 @@ struct Front {
   std::size_t children = 0;  ///< into SymbolicPlan::children
   int num_children = 0;
   int panel_stride = 0, schur_stride = 0, schur_first_row = 0;
-  std::size_t panel_offset = 0, schur_offset = 0, rhs_offset = 0;  ///< doubles
+  std::size_t panel_offset = 0, rhs_offset = 0;  ///< doubles
+  /// Doubles into the memory that all tasks share if the parent belongs to another task, otherwise
+  /// into the scratch of the thread at work.
+  std::size_t schur_offset = 0;
+  bool schur_shared = false;
 };
 
 /// A set of fronts processed by one thread in this order. Tasks form a tree: a task starts when all
@@ -45,7 +49,9 @@ struct SymbolicPlan {
   std::vector<int> children;
   std::vector<Task> tasks;  ///< feeding tasks before the task they feed
   std::vector<int> task_fronts;
-  std::size_t panel_size = 0, schur_size = 0, rhs_size = 0;  ///< doubles
+  std::size_t panel_size = 0, rhs_size = 0;  ///< doubles
+  std::size_t schur_size = 0;                ///< doubles, update matrices handed between tasks
+  std::size_t scratch_size = 0;              ///< doubles, all others of one task
   int max_front_blocks = 0;
   double work = 0;  ///< multiplications and additions of one factorisation, estimated
 };

@@ -35,13 +35,6 @@ constexpr double kWorthRefining = 0.05;  // contraction of the expected decrease
 constexpr double kMaxExcess = 0.3, kMaxExcessLarge = 0.05;
 constexpr std::size_t kLargeFactor = std::size_t{1} << 23;  // doubles
 
-/// Scratch of one thread for fronts: grows to the largest front and stays.
-std::vector<double>& thread_scratch(std::size_t size) {
-  thread_local std::vector<double> scratch;
-  if (scratch.size() < size) scratch.resize(size);
-  return scratch;
-}
-
 }  // namespace
 
 bool PoseGraphPlan::Impl::factor(double lambda) {
@@ -57,8 +50,9 @@ bool PoseGraphPlan::Impl::factor(double lambda) {
   passes_.bottom_up(symbolic_, [&](std::size_t task) {
     const block::Task& t = symbolic_.tasks[task];
     block::BatchCursor cursor;
+    double* scratch = thread_scratch();
     for (std::size_t i = t.begin; i < t.end; ++i)
-      if (!kernels_.factor(context_, fronts_[symbolic_.task_fronts[i]], cursor)) return;
+      if (!kernels_.factor(context_, fronts_[symbolic_.task_fronts[i]], cursor, scratch)) return;
     ok[task] = 1;
   });
   return std::find(ok.begin(), ok.end(), 0) == ok.end();
@@ -78,24 +72,20 @@ double PoseGraphPlan::Impl::measure_linearization() {
 
 void PoseGraphPlan::Impl::forward() {
   context_.poses = poses_.data();
-  const std::size_t scratch_size =
-      static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
   passes_.bottom_up(symbolic_, [&](std::size_t task) {
     const block::Task& t = symbolic_.tasks[task];
     block::BatchCursor cursor;
-    double* scratch = thread_scratch(scratch_size).data();
+    double* scratch = thread_scratch();
     for (std::size_t i = t.begin; i < t.end; ++i)
       kernels_.forward(context_, fronts_[symbolic_.task_fronts[i]], cursor, scratch);
   });
 }
 
 double PoseGraphPlan::Impl::backward() {
-  const std::size_t scratch_size =
-      static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
   const int d = block_size_;
   passes_.top_down(symbolic_, [&](std::size_t task) {
     const block::Task& t = symbolic_.tasks[task];
-    double* x = thread_scratch(scratch_size).data();
+    double* x = thread_scratch();
     for (std::size_t i = t.end; i-- > t.begin;) {
       const int k = symbolic_.task_fronts[i];
       const block::Front& f = symbolic_.fronts[k];

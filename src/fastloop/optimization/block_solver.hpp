@@ -30,6 +30,7 @@ class PoseGraphPlan::Impl {
   void assign_slots(const PoseGraphProblem& problem);
   int position_in(const block::Front& front, int index) const;
   void build_views();
+  void resize_scratch();
   void build_view(std::size_t front);
 
   // block_load.cpp: from the problem's numbers to batches, and back
@@ -48,6 +49,7 @@ class PoseGraphPlan::Impl {
   void forward();
   /// Solves for the step; returns the squared norm of L^-1 b.
   double backward();
+  double* thread_scratch() { return scratch_[static_cast<std::size_t>(passes_.slot())].data(); }
   /// candidate = poses moved by the step
   void move_poses();
   void build_damping();
@@ -86,6 +88,7 @@ class PoseGraphPlan::Impl {
 
   // Work memory.
   block::Buffer panel_, schur_, rhs_, step_, poses_, candidate_, damping_, squared_;
+  std::vector<block::Buffer> scratch_;  // [threads]
   std::vector<block::FrontView> fronts_;
   std::vector<block::ChildView> children_;
   std::vector<double> front_norm_, chunk_cost_;

@@ -143,6 +143,7 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
     build_views();
     result.times.symbolic_ms += watch.elapsed_ms();
   }
+  resize_scratch();  // there may be more threads than before
   result.components = held_.components;
   result.anchored = held_.anchored;
 }
@@ -224,12 +225,21 @@ void PoseGraphPlan::Impl::build_views() {
   });
 }
 
+/// Every thread keeps the update matrices of the task it works on to itself: a megabyte or two that
+/// stay in the caches, where one stretch of memory per task would come from memory every time.
+void PoseGraphPlan::Impl::resize_scratch() {
+  const std::size_t front = static_cast<std::size_t>(symbolic_.max_front_blocks) * block_size_ + 8;
+  scratch_.resize(std::max(scratch_.size(), static_cast<std::size_t>(passes_.threads())));
+  for (block::Buffer& scratch : scratch_) scratch.resize(std::max(symbolic_.scratch_size, front));
+}
+
 void PoseGraphPlan::Impl::build_view(std::size_t k) {
   const block::Front& f = symbolic_.fronts[k];
   block::FrontView& v = fronts_[k];
   v.panel = panel_.data() + f.panel_offset;
   v.panel_stride = f.panel_stride;
-  v.schur = schur_.data() + f.schur_offset;
+  v.schur = f.schur_shared ? schur_.data() + f.schur_offset : nullptr;
+  v.schur_offset = f.schur_offset;
   v.schur_stride = f.schur_stride;
   v.schur_first_row = f.schur_first_row;
   v.pivots = f.pivots;
@@ -244,8 +254,10 @@ void PoseGraphPlan::Impl::build_view(std::size_t k) {
   for (int c = 0; c < f.num_children; ++c) {
     const block::Front& child = symbolic_.fronts[symbolic_.children[f.children + c]];
     block::ChildView& view = children_[f.children + c];
-    view.schur =
-        schur_.data() + child.schur_offset + (child.pivots * block_size_ - child.schur_first_row);
+    view.schur = child.schur_shared ? schur_.data() : nullptr;
+    view.schur_offset =
+        child.schur_offset +
+        static_cast<std::size_t>(child.pivots * block_size_ - child.schur_first_row);
     view.stride = child.schur_stride;
     view.blocks = child.below;
     view.position = symbolic_.position_in_parent.data() + child.rows;
