@@ -67,10 +67,9 @@ Job job_of(const eval::SequenceRow& row, const std::vector<fs::path>& roots, con
 }
 
 std::vector<Job> jobs_of(const Arguments& a) {
-  const auto rows =
-      a.sequences.empty()
-          ? eval::parse_sequences(kSequencesYaml, "eval/sequences.yaml")
-          : eval::parse_sequences(io::read_text_file(a.sequences), a.sequences);
+  const auto rows = a.sequences.empty()
+                        ? eval::parse_sequences(kSequencesYaml, "eval/sequences.yaml")
+                        : eval::parse_sequences(io::read_text_file(a.sequences), a.sequences);
   const std::vector<fs::path> roots(a.roots.begin(), a.roots.end());
   std::vector<Job> jobs;
   for (const std::string& name : a.datasets) {
@@ -83,8 +82,9 @@ std::vector<Job> jobs_of(const Arguments& a) {
     }
     if (known) continue;
     if (!fs::is_directory(name))
-      throw InvalidArgument("'" + name +
-                            "' is neither a folder nor a row, a group, 'paper' or 'all' of the list of sequences");
+      throw InvalidArgument(
+          "'" + name +
+          "' is neither a folder nor a row, a group, 'paper' or 'all' of the list of sequences");
     const eval::NamedFolder named = eval::classify(name, rows);
     jobs.push_back({named.row, named.kind, name, {}});
   }
@@ -99,13 +99,21 @@ std::optional<eval::Evaluation> evaluate(const eval::RunFolder& run) {
 }
 
 /// Runs SLAM once and measures what it left.
+/// @param maps  folder for the map just before each loop; empty: not kept
 eval::RunMeasurement run_once(const Job& job, const std::string& backend, const fs::path& out,
-                              const Arguments& a, eval::SequenceResult& result) {
-  std::vector<std::string> words{"run",       job.folder.string(), "--out",  out.string(),
-                                 "--backend", backend,             "--quiet", "--mode",
+                              const fs::path& maps, const Arguments& a,
+                              eval::SequenceResult& result) {
+  std::vector<std::string> words{"run",
+                                 job.folder.string(),
+                                 "--out",
+                                 out.string(),
+                                 "--backend",
+                                 backend,
+                                 "--quiet",
+                                 "--mode",
                                  a.mode.empty() ? job.row.mode : a.mode};
-  if (a.max_frames)
-    words.insert(words.end(), {"--max-frames", std::to_string(a.max_frames)});
+  if (a.max_frames) words.insert(words.end(), {"--max-frames", std::to_string(a.max_frames)});
+  if (!maps.empty()) words.insert(words.end(), {"--record-loops", maps.string()});
   if (!a.config.empty()) words.insert(words.end(), {"--config", a.config});
   fs::create_directories(out);
   const fs::path log = out / "run.log";
@@ -145,7 +153,10 @@ eval::SequenceResult measure_sequence(const Job& job, const eval::BenchInfo& inf
     for (std::size_t b = 0; b < info.backends.size(); ++b) {
       const std::string name = round < 0 ? "warm_up" : "run" + std::to_string(round + 1);
       const fs::path out = fs::path(a.out) / "runs" / job.row.name / info.backends[b] / name;
-      const eval::RunMeasurement m = run_once(job, info.backends[b], out, a, result);
+      // The loops of an unmeasured run are kept for `bench replay`; writing them takes time.
+      const bool keep = round == -1 && b + 1 == info.backends.size();
+      const fs::path maps = keep ? fs::path(a.out) / "maps" / job.row.name : fs::path();
+      const eval::RunMeasurement m = run_once(job, info.backends[b], out, maps, a, result);
       std::fprintf(stderr, "bench: %s, %s, %s: %zu loops, ATE %.4f m\n", job.row.name.c_str(),
                    info.backends[b].c_str(), name.c_str(), m.loops.size(), m.ate_m);
       if (round < 0)
@@ -189,13 +200,13 @@ void add_bench_loops(CLI::App& bench_app, int& exit_code) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command = bench_app.add_subcommand(
       "loops", "The table of loop closing: SLAM on sequences, with each back end, several times");
-  command->add_option("--dataset", a->datasets,
-                      "Folders, rows or groups of the list of sequences, 'paper' (the rows of the "
-                      "FastLoop paper) or 'all'")
+  command
+      ->add_option("--dataset", a->datasets,
+                   "Folders, rows or groups of the list of sequences, 'paper' (the rows of the "
+                   "FastLoop paper) or 'all'")
       ->delimiter(',')
       ->capture_default_str();
-  command->add_option("--root", a->roots,
-                      "Folders below which the rows' sequences are looked for")
+  command->add_option("--root", a->roots, "Folders below which the rows' sequences are looked for")
       ->delimiter(',');
   command->add_option("--out", a->out, "Folder for the tables and the runs")->required();
   command->add_option("--runs", a->runs, "Measured runs of each back end")
@@ -204,8 +215,10 @@ void add_bench_loops(CLI::App& bench_app, int& exit_code) {
   command->add_option("--warm-up", a->warm_up, "Runs of each back end before, not measured")
       ->check(CLI::Range(0, 100))
       ->capture_default_str();
-  command->add_option("--backends", a->backends,
-                      "Back ends: reference, cpu, auto; the first is what the others are compared with")
+  command
+      ->add_option(
+          "--backends", a->backends,
+          "Back ends: reference, cpu, auto; the first is what the others are compared with")
       ->delimiter(',')
       ->capture_default_str();
   command->add_option("--sequences", a->sequences,
@@ -217,8 +230,11 @@ void add_bench_loops(CLI::App& bench_app, int& exit_code) {
   command->add_flag("!--no-simulate", a->simulate,
                     "Leave out simulated rows that are not there, instead of making them");
   command->footer(
-      "Writes loops.json, loops.md and loops.csv, and every run below runs/. The columns are those of the\n"
-      "FastLoop paper; src/fastloop/eval/loop_stages.cpp says which stage belongs to which.\n"
+      "Writes loops.json, loops.md and loops.csv, every run below runs/, and the loops below maps/ "
+      "for\n"
+      "bench replay. The columns are those of the FastLoop paper; "
+      "src/fastloop/eval/loop_stages.cpp says\n"
+      "which stage belongs to which.\n"
       "Example: fastloop bench loops --dataset paper --root /data --out out/bench");
   command->callback([a, &exit_code] { exit_code = bench(*a); });
 }

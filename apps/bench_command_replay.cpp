@@ -21,12 +21,17 @@ struct Arguments {
   int runs = 5, warm_up = 1;
 };
 
+struct MapFile {
+  fs::path path;
+  std::string name;  ///< below the folder it was found in
+};
+
 /// Map files, and those in folders, in the order of their names.
-std::vector<fs::path> map_files(const std::vector<std::string>& paths) {
-  std::vector<fs::path> files;
+std::vector<MapFile> map_files(const std::vector<std::string>& paths) {
+  std::vector<MapFile> files;
   for (const fs::path path : paths) {
     if (!fs::is_directory(path)) {
-      files.push_back(path);
+      files.push_back({path, path.stem().string()});
       continue;
     }
     std::vector<fs::path> found;
@@ -36,7 +41,8 @@ std::vector<fs::path> map_files(const std::vector<std::string>& paths) {
       throw InputError({path.string(), 0, ""}, "no map files (*.flmap) in this folder",
                        "a folder of fastloop run --record-loops");
     std::sort(found.begin(), found.end());
-    files.insert(files.end(), found.begin(), found.end());
+    for (const fs::path& file : found)
+      files.push_back({file, fs::relative(file, path).replace_extension().string()});
   }
   return files;
 }
@@ -51,15 +57,16 @@ int bench(const Arguments& a) {
   if (!a.out.empty()) io::prepare_output_folder(a.out);
   const eval::BenchInfo info = bench_info(command_line(), plan.backends, a.runs, a.warm_up);
   std::vector<eval::ReplayCase> cases;
-  for (const fs::path& file : files) {
+  for (const auto& [file, name] : files) {
     const map::LoadedMap loaded = map::read_map_file(file);
-    cases.push_back(eval::measure_replay(file.stem().string(), loaded.map.publish(),
-                                         loop::request_of(loaded, file), plan));
-    std::fprintf(stderr, "bench: %s: %s\n", file.filename().c_str(), cases.back().verdict.c_str());
+    cases.push_back(
+        eval::measure_replay(name, loaded.map.publish(), loop::request_of(loaded, file), plan));
+    std::fprintf(stderr, "bench: %s: %s\n", name.c_str(), cases.back().verdict.c_str());
   }
   const eval::Json table = eval::replay_table_json(info, "bench replay", cases);
   const std::string markdown = eval::replay_table_markdown(table);
-  if (!a.out.empty()) write_results(a.out, "replay", table, markdown, eval::replay_table_csv(table));
+  if (!a.out.empty())
+    write_results(a.out, "replay", table, markdown, eval::replay_table_csv(table));
   std::cout << markdown;
   return kExitOk;
 }
@@ -79,12 +86,15 @@ void add_bench_replay(CLI::App& bench_app, int& exit_code) {
   command->add_option("--warm-up", a->warm_up, "Repetitions before, not measured")
       ->check(CLI::Range(0, 1000))
       ->capture_default_str();
-  command->add_option("--backends", a->backends,
-                      "Back ends: reference, cpu, auto; the first is what the others are compared with")
+  command
+      ->add_option(
+          "--backends", a->backends,
+          "Back ends: reference, cpu, auto; the first is what the others are compared with")
       ->delimiter(',')
       ->capture_default_str();
   command->footer(
-      "Example: fastloop run V1_03 --out out/v103 --record-loops out/v103/maps && fastloop bench replay "
+      "Example: fastloop run V1_03 --out out/v103 --record-loops out/v103/maps && fastloop bench "
+      "replay "
       "out/v103/maps");
   command->callback([a, &exit_code] { exit_code = bench(*a); });
 }

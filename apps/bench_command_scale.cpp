@@ -28,7 +28,8 @@ struct Arguments {
 int parse_size(const std::string& text) {
   const auto value = io::parse_number(text);
   if (!value || *value < 60 || *value > 1e6 || *value != std::floor(*value))
-    throw InvalidArgument("--keyframes: '" + text + "' is not a number of keyframes from 60 to 1000000");
+    throw InvalidArgument("--keyframes: '" + text +
+                          "' is not a number of keyframes from 60 to 1000000");
   return static_cast<int>(*value);
 }
 
@@ -73,7 +74,8 @@ eval::ReplayCase measure_size(int size, const Arguments& a, eval::ReplayPlan pla
   request.inertial = world.inertial;
   for (std::size_t b = 0; b < plan.backends.size(); ++b)
     plan.left_out[b] = plan.backends[b] == loop::Backend::kReference && size > a.reference_max;
-  eval::ReplayCase c = eval::measure_replay(std::to_string(size), simulated.map.publish(), request, plan);
+  eval::ReplayCase c =
+      eval::measure_replay(std::to_string(size), simulated.map.publish(), request, plan);
   c.map_mib = std::max(0.0, map_mib);
   if (std::find(plan.left_out.begin(), plan.left_out.end(), true) != plan.left_out.end())
     c.notes.push_back("reference left out: larger than --reference-max " +
@@ -95,8 +97,8 @@ int bench(const Arguments& a) {
   for (const int size : sizes) {
     cases.push_back(measure_size(size, a, plan));
     const eval::ReplayCase& c = cases.back();
-    std::fprintf(stderr, "bench: %d keyframes: %s, %zu poses, %zu edges\n", size,
-                 c.verdict.c_str(), c.poses, c.edges);
+    std::fprintf(stderr, "bench: %d keyframes: %s, %zu poses, %zu edges\n", size, c.verdict.c_str(),
+                 c.poses, c.edges);
     const eval::Json table = eval::replay_table_json(info, "bench scale", cases);
     markdown = eval::replay_table_markdown(table);
     write_results(a.out, "scale", table, markdown, eval::replay_table_csv(table));
@@ -113,10 +115,13 @@ void add_bench_scale(CLI::App& bench_app, int& exit_code) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command = bench_app.add_subcommand(
       "scale", "Each stage of loop closing against the size of a simulated map");
-  command->add_option("--keyframes", a->keyframes,
-                      "Sizes: LOW..HIGH (1 and 3 times the powers of ten between them) or a list A,B,C")
+  command
+      ->add_option(
+          "--keyframes", a->keyframes,
+          "Sizes: LOW..HIGH (1 and 3 times the powers of ten between them) or a list A,B,C")
       ->capture_default_str();
-  command->add_option("--out", a->out, "Folder for scale.json, scale.md, scale.csv and speed_up.svg")
+  command
+      ->add_option("--out", a->out, "Folder for scale.json, scale.md, scale.csv and speed_up.svg")
       ->required();
   command->add_option("--runs", a->runs, "Measured repetitions of each back end")
       ->check(CLI::Range(1, 100000))
@@ -124,23 +129,29 @@ void add_bench_scale(CLI::App& bench_app, int& exit_code) {
   command->add_option("--warm-up", a->warm_up, "Repetitions before, not measured")
       ->check(CLI::Range(0, 1000))
       ->capture_default_str();
-  command->add_option("--backends", a->backends,
-                      "Back ends: reference, cpu, auto; the first is what the others are compared with")
+  command
+      ->add_option(
+          "--backends", a->backends,
+          "Back ends: reference, cpu, auto; the first is what the others are compared with")
       ->delimiter(',')
       ->capture_default_str();
-  command->add_option("--reference-max", a->reference_max,
-                      "Largest map for the back end reference, which takes very long on large ones")
+  command
+      ->add_option("--reference-max", a->reference_max,
+                   "Largest map for the back end reference, which takes very long on large ones")
       ->capture_default_str();
   command->add_option("--features", a->world.features, "Keypoints of a keyframe")
       ->check(CLI::Range(50, 20000))
       ->capture_default_str();
-  command->add_option("--covisible", a->world.covisible, "Keyframes that share landmarks with one, about")
+  command
+      ->add_option("--covisible", a->world.covisible,
+                   "Keyframes that share landmarks with one, about")
       ->check(CLI::Range(8, 400))
       ->capture_default_str();
   command->add_option("--seed", a->world.seed, "World, drift and noise follow from it")
       ->capture_default_str();
   command->add_flag("--inertial", a->world.inertial, "As with an initialised IMU: 4-DoF graphs");
-  command->footer("Example: fastloop bench scale --keyframes 100..100000 --inertial --out out/scale");
+  command->footer(
+      "Example: fastloop bench scale --keyframes 100..100000 --inertial --out out/scale");
   command->callback([a, &exit_code] { exit_code = bench(*a); });
 }
 

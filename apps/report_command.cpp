@@ -31,7 +31,8 @@ std::string ground_truth_file(const Arguments& a, const eval::RunFolder& run) {
   if (known.is_null()) return "";
   const std::string file = known.get<std::string>();
   if (fs::exists(file)) return file;
-  std::fprintf(stderr, "fastloop: %s is not there any more: no errors in the report\n", file.c_str());
+  std::fprintf(stderr, "fastloop: %s is not there any more: no errors in the report\n",
+               file.c_str());
   return "";
 }
 
@@ -70,8 +71,9 @@ void add_report_command(CLI::App& app, int& exit_code) {
   command->add_option("--out", a->out, "File to write; default: report.html in RUN");
   command->add_option("--ground-truth", a->ground_truth,
                       "Trajectory file, or data set folder; default: that of the run's data set");
-  command->add_option("--bench", a->benches,
-                      "Results to show beside: loops.json, replay.json, scale.json of fastloop bench")
+  command
+      ->add_option("--bench", a->benches,
+                   "Results to show beside: loops.json, replay.json, scale.json of fastloop bench")
       ->delimiter(',');
   command->footer(
       "The page holds everything, pictures included, and fetches nothing.\n"

@@ -30,8 +30,9 @@ table { border-collapse: collapse; font-size: 0.86rem; font-variant-numeric: tab
 th, td { padding: 4px 10px 4px 0; text-align: right; vertical-align: top; border-bottom: 1px solid #eceef0; white-space: nowrap; }
 th { color: #5a626b; font-weight: 600; white-space: normal; vertical-align: bottom; }
 th:first-child, td:first-child, td.words, th.words { text-align: left; }
-td.long { white-space: normal; min-width: 15em; text-align: left; }
+td.long { white-space: normal; min-width: 9em; text-align: left; }
 code { font-size: 0.86em; overflow-wrap: anywhere; }
+@media (max-width: 700px) { th { white-space: nowrap; } }
 @media print {
   body { background: #fff; font-size: 11px; }
   main { max-width: none; padding: 0; }
@@ -53,15 +54,21 @@ void HtmlPage::section(const std::string& title) {
   in_section_ = true;
 }
 
-void HtmlPage::paragraph(const std::string& text) { body_ += "<p>" + escaped(text) + "</p>\n"; }
+void HtmlPage::paragraph(const std::string& text) {
+  body_ += "<p>" + escaped(text) + "</p>\n";
+}
 
 void HtmlPage::figure(const std::string& svg, const std::string& caption) {
   if (svg.empty()) return;
   body_ += "<figure>\n" + svg + "<figcaption>" + escaped(caption) + "</figcaption>\n</figure>\n";
 }
 
-void HtmlPage::begin_figures() { body_ += "<div class=\"figures\">\n"; }
-void HtmlPage::end_figures() { body_ += "</div>\n"; }
+void HtmlPage::begin_figures() {
+  body_ += "<div class=\"figures\">\n";
+}
+void HtmlPage::end_figures() {
+  body_ += "</div>\n";
+}
 
 void HtmlPage::table(const std::vector<std::string>& head,
                      const std::vector<std::vector<std::string>>& rows) {

@@ -19,7 +19,8 @@ class HtmlPage {
   void end_figures();
   /// Tables scroll sideways where there is no room. Cells are html; one that
   /// begins with <td or <th is taken as it is.
-  void table(const std::vector<std::string>& head, const std::vector<std::vector<std::string>>& rows);
+  void table(const std::vector<std::string>& head,
+             const std::vector<std::vector<std::string>>& rows);
   /// Large numbers with their names; html.
   void cards(const std::vector<std::pair<std::string, std::string>>& cards);
   void html(const std::string& html) { body_ += html; }

@@ -8,7 +8,9 @@ namespace {
 
 using Rows = std::vector<std::vector<std::string>>;
 
-std::string text_of(const Json& j) { return escaped(j.get<std::string>()); }
+std::string text_of(const Json& j) {
+  return escaped(j.get<std::string>());
+}
 
 /// "12.3 ± 0.4 (5.2x)"; the mean says where it is from.
 std::string time_cell(const std::string& key, const Json& s, const Json& speed_up) {
@@ -68,9 +70,8 @@ void add_loops(HtmlPage& page, const Json& table, const std::string& prefix) {
     std::string kept = "-", tracking, memory;
     for (const auto& [backend, b] : s["backends"].items()) {
       const std::string key = at + ".backends." + backend;
-      cells.push_back(b["ate_m"].is_null()
-                          ? "-"
-                          : number_html(key + ".ate_m.median", b["ate_m"]["median"], 4));
+      cells.push_back(
+          b["ate_m"].is_null() ? "-" : number_html(key + ".ate_m.median", b["ate_m"]["median"], 4));
       const Json& t = b["tracking_around_loops_ms"];
       if (!t.is_null())
         tracking += (tracking.empty() ? "" : ", ") +
@@ -82,8 +83,9 @@ void add_loops(HtmlPage& page, const Json& table, const std::string& prefix) {
     if (s.contains("comparison")) {
       kept.clear();
       for (const auto& [backend, c] : s["comparison"].items())
-        kept += (kept.empty() ? "" : ", ") +
-                std::string(!c.contains("accuracy_kept") ? "-" : c["accuracy_kept"] ? "yes" : "NO");
+        kept += (kept.empty() ? "" : ", ") + std::string(!c.contains("accuracy_kept") ? "-"
+                                                         : c["accuracy_kept"]         ? "yes"
+                                                                                      : "NO");
     }
     cells.insert(cells.end(), {kept, tracking.empty() ? "-" : tracking, memory + "&nbsp;MiB"});
     rows.push_back(cells);
@@ -101,8 +103,7 @@ void add_replays(HtmlPage& page, const Json& table, const std::string& prefix) {
     const std::string base = table["backends"][0];
     page.figure(speed_up_chart(table, ScaleAxis::kPoses, backend),
                 "Speed-up of " + backend + " over " + base + " against the poses of the graph");
-    page.figure(speed_up_chart(table, ScaleAxis::kEdges, backend),
-                "The same against its edges");
+    page.figure(speed_up_chart(table, ScaleAxis::kEdges, backend), "The same against its edges");
   }
   page.figure(time_chart(table), "Whole loop closing against the size of the map");
   page.end_figures();
@@ -117,10 +118,11 @@ void add_bench(HtmlPage& page, const Json& table, std::size_t index) {
                                         : "Loop closing against the size of the map");
   const Json& m = table["machine"];
   page.html("<p>Mean ± standard deviation in ms; in brackets the speed-up against " +
-            text_of(table["backends"][0]) + ". " + text_of(table["date"]) + ", commit " +
-            text_of(table["commit"]) + ", " + text_of(m["cpu"]) + ", " + m["cores"].dump() +
-            " cores, " + table["runs"].dump() + " runs after " + table["warm_up"].dump() +
-            " unmeasured.<br><code>" + text_of(table["command"]) + "</code></p>\n");
+            text_of(table["backends"][0]) + " (ratio of medians). " + text_of(table["date"]) +
+            ", commit " + text_of(table["commit"]) + ", " + text_of(m["cpu"]) + ", " +
+            m["cores"].dump() + " cores, " + table["runs"].dump() + " runs after " +
+            table["warm_up"].dump() + " unmeasured.<br><code>" + text_of(table["command"]) +
+            "</code></p>\n");
   if (kind == "bench loops")
     add_loops(page, table, prefix);
   else

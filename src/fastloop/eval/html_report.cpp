@@ -73,8 +73,9 @@ void add_cards(HtmlPage& page, const ReportInput& input, const Json& evaluation)
   std::vector<std::pair<std::string, std::string>> cards;
   const Json &final_poses = evaluation.at("final"), &live = evaluation.at("live");
   if (!final_poses.is_null())
-    cards.emplace_back("ATE, after all corrections",
-                       number_html("evaluation.final.ate_m.rmse", final_poses["ate_m"]["rmse"], 4, "m"));
+    cards.emplace_back(
+        "ATE, after all corrections",
+        number_html("evaluation.final.ate_m.rmse", final_poses["ate_m"]["rmse"], 4, "m"));
   if (!live.is_null())
     cards.emplace_back("ATE, as known at the time",
                        number_html("evaluation.live.ate_m.rmse", live["ate_m"]["rmse"], 4, "m"));
@@ -95,7 +96,8 @@ void add_cards(HtmlPage& page, const ReportInput& input, const Json& evaluation)
 
 std::vector<Point> projected(const std::vector<SE3>& poses, std::pair<int, int> view) {
   std::vector<Point> points;
-  for (const SE3& p : poses) points.push_back({p.translation[view.first], p.translation[view.second]});
+  for (const SE3& p : poses)
+    points.push_back({p.translation[view.first], p.translation[view.second]});
   return points;
 }
 
@@ -109,6 +111,19 @@ std::vector<bool> gaps_of(const std::vector<io::StampedPose>& stamped) {
   std::vector<Nanoseconds> stamps;
   for (const io::StampedPose& p : stamped) stamps.push_back(p.stamp_ns);
   return gaps(stamps);
+}
+
+/// Where the loops were closed.
+Series loops_on_path(const ReportInput& input, const Evaluation& e, std::pair<int, int> view) {
+  Series s{"", kLoopColour, {}, {}, 0, true};
+  for (const RunLoop& loop : input.run.loops) {
+    const auto at = std::lower_bound(e.stamps_ns.begin(), e.stamps_ns.end(), loop.stamp_ns);
+    if (!loop.applied || at == e.stamps_ns.end()) continue;
+    const Vector3d& p = e.estimate[static_cast<std::size_t>(at - e.stamps_ns.begin())].translation;
+    s.points.push_back({p[view.first], p[view.second]});
+  }
+  if (!s.points.empty()) s.name = "loop closed";
+  return s;
 }
 
 /// Paths seen from above. Without ground truth nothing is aligned: both lie in the map's world.
@@ -128,6 +143,7 @@ std::string path_chart(const ReportInput& input, const Errors& errors) {
                               gaps(errors.live_poses->stamps_ns), 1.2});
     chart.series.push_back(
         {"after loops", kFinalColour, projected(e.estimate, view), gaps(e.stamps_ns), 1.2});
+    chart.series.push_back(loops_on_path(input, e, view));
   } else if (!input.run.final_poses.empty()) {
     view = view_axes(poses_only(input.run.final_poses));
     chart.series.push_back({"at the time", kLiveColour,
@@ -172,8 +188,8 @@ void add_trajectory(HtmlPage& page, const ReportInput& input, const Errors& erro
   page.end_figures();
   if (!errors.final_poses) return;
   std::vector<std::vector<std::string>> rows;
-  for (const auto& [key, name] : {std::pair{"final", "after all corrections"},
-                                  std::pair{"live", "as known at the time"}}) {
+  for (const auto& [key, name] :
+       {std::pair{"final", "after all corrections"}, std::pair{"live", "as known at the time"}}) {
     const Json& e = evaluation.at(key);
     if (e.is_null()) continue;
     const std::string at = std::string("evaluation.") + key + ".";
@@ -225,24 +241,25 @@ void add_loops(HtmlPage& page, const ReportInput& input) {
   std::vector<std::vector<std::string>> rows;
   for (std::size_t i = 0; i < input.run.loops.size(); ++i) {
     const RunLoop& l = input.run.loops[i];
-    std::vector<std::string> cells{
-        decimal(seconds_of(input, l.stamp_ns), 1),
-        escaped(!l.applied ? "refused: " + l.reason : l.merge ? "merge" : "loop"),
-        std::to_string(l.keyframe), std::to_string(l.keyframes_moved),
-        std::to_string(l.landmarks_joined)};
+    std::vector<std::string> cells{decimal(seconds_of(input, l.stamp_ns), 1),
+                                   escaped(!l.applied ? "refused: " + l.reason
+                                           : l.merge  ? "merge"
+                                                      : "loop"),
+                                   std::to_string(l.keyframe), std::to_string(l.keyframes_moved),
+                                   std::to_string(l.landmarks_joined)};
     const PaperTimes times = paper_times(l.stages_ms);
     for (const PaperColumn& c : paper_columns())
-      cells.push_back(l.stages_ms.empty()
-                          ? "-"
-                          : number_html("loops." + std::to_string(i) + "." + c.key,
-                                        Json(c.value(times)), 2));
+      cells.push_back(l.stages_ms.empty() ? "-"
+                                          : number_html("loops." + std::to_string(i) + "." + c.key,
+                                                        Json(c.value(times)), 2));
     rows.push_back(cells);
   }
   page.table(head, rows);
-  page.paragraph("Total = region detection + loop correction; loop correction = loop fusion + graph "
-                 "optimisation + what is left. " +
-                 std::to_string(input.run.refused_candidates) +
-                 " more keyframes had candidates that were not taken.");
+  page.paragraph(
+      "Total = region detection + loop correction; loop correction = loop fusion + graph "
+      "optimisation + what is left. " +
+      std::to_string(input.run.refused_candidates) +
+      " more keyframes had candidates that were not taken.");
 }
 
 void add_events(HtmlPage& page, const ReportInput& input) {
@@ -254,7 +271,8 @@ void add_events(HtmlPage& page, const ReportInput& input) {
     rows.push_back({decimal(seconds_of(input, e.stamp_ns), 1),
                     "<td class=\"words\">" + escaped(e.kind) + "</td>",
                     "<td class=\"long\">" + escaped(e.reason) + "</td>"});
-  page.table({"time [s]", "<th class=\"words\">event</th>", "<th class=\"words\">reason</th>"}, rows);
+  page.table({"time [s]", "<th class=\"words\">event</th>", "<th class=\"words\">reason</th>"},
+             rows);
   page.end_figures();
 }
 
@@ -297,20 +315,24 @@ void add_machine(HtmlPage& page, const ReportInput& input) {
   const auto text = [&](const char* key) {
     return "<td class=\"words\">" + escaped(m.at(key).get<std::string>()) + "</td>";
   };
-  page.table({"", ""}, {{"CPU", text("cpu")},
-                        {"cores", "<td class=\"words\">" +
-                                      number_html("timing.machine.cores", m.at("cores"), 0) + "</td>"},
-                        {"memory", "<td class=\"words\">" +
-                                       number_html("timing.machine.memory_gib", m.at("memory_gib"), 1, "GiB") +
-                                       "</td>"},
-                        {"compiler", text("compiler")},
-                        {"build", text("build")},
-                        {"commit", text("commit")}});
+  page.table(
+      {"", ""},
+      {{"CPU", text("cpu")},
+       {"cores",
+        "<td class=\"words\">" + number_html("timing.machine.cores", m.at("cores"), 0) + "</td>"},
+       {"memory", "<td class=\"words\">" +
+                      number_html("timing.machine.memory_gib", m.at("memory_gib"), 1, "GiB") +
+                      "</td>"},
+       {"compiler", text("compiler")},
+       {"build", text("build")},
+       {"commit", text("commit")}});
 }
 
 }  // namespace
 
-Json evaluation_json(const ReportInput& input) { return json_of(errors_of(input)); }
+Json evaluation_json(const ReportInput& input) {
+  return json_of(errors_of(input));
+}
 
 std::string html_report(const ReportInput& input) {
   const Json& s = input.run.summary;

@@ -35,9 +35,11 @@ ReportInput example() {
   }
   input.ground_truth = truth;
   input.ground_truth_name = "truth <1>.csv";
-  run.summary = Json::parse(R"({"version":"1","dataset":"a & b","mode":"stereo","seconds":19.9,"frames":200,
+  run.summary =
+      Json::parse(R"({"version":"1","dataset":"a & b","mode":"stereo","seconds":19.9,"frames":200,
     "tracked_percent":99.5,"keyframes":17,"landmarks":4321,"loops_closed":1,"maps_merged":0})");
-  run.timing = Json::parse(R"({"stages":{"orb":{"count":200,"mean_ms":10.123456,"p50_ms":10,"p95_ms":11,"p99_ms":12,
+  run.timing = Json::parse(
+      R"({"stages":{"orb":{"count":200,"mean_ms":10.123456,"p50_ms":10,"p95_ms":11,"p99_ms":12,
     "max_ms":13}},"fps":31.25,"memory":{"peak_mib":321.5,"samples":[
     {"t_s":0,"wall_s":0,"resident_mib":100,"keyframes":1,"landmarks":9},
     {"t_s":19,"wall_s":7,"resident_mib":321.5,"keyframes":17,"landmarks":99}]},
@@ -45,7 +47,14 @@ ReportInput example() {
   run.timing["first_stamp_ns"] = kStart;
   run.timing["track_by_frame"] = {{"t_s", t}, {"ms", ms}};
   run.events = {{kStart + 15'000'000'000, "loop_closed", "4 keyframes moved"}};
-  run.loops = {{kStart + 15'000'000'000, 12, true, false, "", 4, 5, 6,
+  run.loops = {{kStart + 15'000'000'000,
+                12,
+                true,
+                false,
+                "",
+                4,
+                5,
+                6,
                 {{"words", 1.5}, {"loop_fusion", 2.5}, {"graph_solve", 3.25}}}};
   return input;
 }
@@ -55,13 +64,16 @@ TEST(HtmlReport, TellsTheRunWithTheNumbersOfItsFiles) {
   const std::string page = html_report(input);
   EXPECT_THAT(page, HasSubstr("fastloop: a &amp; b"));
   EXPECT_THAT(page, HasSubstr("truth &lt;1&gt;.csv"));
-  EXPECT_THAT(page, HasSubstr("data-key=\"timing.stages.orb.mean_ms\" data-value=\"10.123456\">10.12<"));
+  EXPECT_THAT(page,
+              HasSubstr("data-key=\"timing.stages.orb.mean_ms\" data-value=\"10.123456\">10.12<"));
   EXPECT_THAT(page, HasSubstr("data-key=\"summary.landmarks\" data-value=\"4321\">4321<"));
   EXPECT_THAT(page, HasSubstr("data-key=\"loops.0.total\" data-value=\"7.25\">7.25<"));
   const Json evaluation = evaluation_json(input);
-  const double final_ate = evaluation["final"]["ate_m"]["rmse"], live_ate = evaluation["live"]["ate_m"]["rmse"];
+  const double final_ate = evaluation["final"]["ate_m"]["rmse"],
+               live_ate = evaluation["live"]["ate_m"]["rmse"];
   EXPECT_GT(live_ate, final_ate);
-  EXPECT_THAT(page, HasSubstr("data-key=\"evaluation.final.ate_m.rmse\" data-value=\"" + evaluation["final"]["ate_m"]["rmse"].dump()));
+  EXPECT_THAT(page, HasSubstr("data-key=\"evaluation.final.ate_m.rmse\" data-value=\"" +
+                              evaluation["final"]["ate_m"]["rmse"].dump()));
   EXPECT_THAT(page, HasSubstr("loop closed</text>"));
   EXPECT_THAT(page, Not(HasSubstr("nan")));
 }

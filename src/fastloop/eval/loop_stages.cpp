@@ -35,12 +35,24 @@ PaperTimes paper_times(const StageList& stages_ms) {
   PaperTimes t;
   for (const auto& [stage, ms] : stages_ms) {
     switch (paper_stage(stage)) {
-      case PaperStage::kRegionDetection: t.region_detection += ms; break;
-      case PaperStage::kLoopFusion: t.loop_fusion += ms; break;
-      case PaperStage::kGraphOptimisation: t.graph_optimisation += ms; break;
-      case PaperStage::kRestOfCorrection: t.rest_of_correction += ms; break;
-      case PaperStage::kNotPublished: t.not_published += ms; break;
-      case PaperStage::kUnknown: t.unknown.push_back(stage); break;
+      case PaperStage::kRegionDetection:
+        t.region_detection += ms;
+        break;
+      case PaperStage::kLoopFusion:
+        t.loop_fusion += ms;
+        break;
+      case PaperStage::kGraphOptimisation:
+        t.graph_optimisation += ms;
+        break;
+      case PaperStage::kRestOfCorrection:
+        t.rest_of_correction += ms;
+        break;
+      case PaperStage::kNotPublished:
+        t.not_published += ms;
+        break;
+      case PaperStage::kUnknown:
+        t.unknown.push_back(stage);
+        break;
     }
   }
   return t;

@@ -11,12 +11,12 @@ namespace fastloop::eval {
 /// Where a stage of fastloop belongs in the table of the FastLoop paper. This is the only place
 /// that says so (the list is in loop_stages.cpp).
 enum class PaperStage {
-  kRegionDetection,     ///< words, query, verification, PS1 to PS3
-  kLoopFusion,          ///< loop landmarks against the connected keyframes
-  kGraphOptimisation,   ///< essential graph: building and solving
-  kRestOfCorrection,    ///< poses, connections, landmarks, and what the owner of the map does
-  kNotPublished,        ///< no part of the published method; measured, in no column
-  kUnknown,             ///< not in the list: the list has to be mended
+  kRegionDetection,    ///< words, query, verification, PS1 to PS3
+  kLoopFusion,         ///< loop landmarks against the connected keyframes
+  kGraphOptimisation,  ///< essential graph: building and solving
+  kRestOfCorrection,   ///< poses, connections, landmarks, and what the owner of the map does
+  kNotPublished,       ///< no part of the published method; measured, in no column
+  kUnknown,            ///< not in the list: the list has to be mended
 };
 PaperStage paper_stage(const std::string& stage);
 

@@ -8,11 +8,20 @@ namespace {
 
 using ::testing::ElementsAre;
 
-const StageList kLoop{{"words", 1},         {"query", 2},           {"descriptor_matching", 4},
-                      {"similarity", 8},    {"projection_searches", 16},
-                      {"correct_poses", 32}, {"loop_fusion", 64},    {"connections", 128},
-                      {"graph_build", 256}, {"graph_solve", 512},   {"graph_finish", 1024},
-                      {"landmarks", 2048},  {"apply_check", 4096},  {"recheck", 8192}};
+const StageList kLoop{{"words", 1},
+                      {"query", 2},
+                      {"descriptor_matching", 4},
+                      {"similarity", 8},
+                      {"projection_searches", 16},
+                      {"correct_poses", 32},
+                      {"loop_fusion", 64},
+                      {"connections", 128},
+                      {"graph_build", 256},
+                      {"graph_solve", 512},
+                      {"graph_finish", 1024},
+                      {"landmarks", 2048},
+                      {"apply_check", 4096},
+                      {"recheck", 8192}};
 
 TEST(LoopStages, EveryStageIsInOneColumn) {
   const PaperTimes t = paper_times(kLoop);

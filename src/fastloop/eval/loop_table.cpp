@@ -54,9 +54,8 @@ Json backend_json(const std::vector<RunMeasurement>& runs, bool has_truth) {
          {"keyframes", first.keyframes},
          {"columns_ms", loops.empty() ? Json() : columns_json(loops)},
          {"merge_ms", statistics_or_null(pooled<double>(runs, &RunMeasurement::merges_ms))}};
-  j["ate_m"] = has_truth
-                   ? to_json(describe(over_runs(runs, [](const auto& r) { return r.ate_m; })))
-                   : Json();
+  j["ate_m"] = has_truth ? to_json(describe(over_runs(runs, [](const auto& r) { return r.ate_m; })))
+                         : Json();
   j["coverage_percent"] = has_truth ? Json(100 * first.coverage) : Json();
   j["tracking_around_loops_ms"] =
       around.count ? tracking_json(around.count, around.p50_ms, around.p99_ms, around.max_ms)
@@ -75,8 +74,8 @@ Json comparison_json(const Json& base, const Json& other) {
   Json speed_up;
   if (!base["columns_ms"].is_null() && !other["columns_ms"].is_null())
     for (const PaperColumn& c : paper_columns())
-      speed_up[c.key] = base["columns_ms"][c.key]["mean"].get<double>() /
-                        other["columns_ms"][c.key]["mean"].get<double>();
+      speed_up[c.key] = base["columns_ms"][c.key]["median"].get<double>() /
+                        other["columns_ms"][c.key]["median"].get<double>();
   j["speed_up"] = speed_up;
   if (base["ate_m"].is_null() || other["ate_m"].is_null()) return j;
   const double a = base["ate_m"]["median"], b = other["ate_m"]["median"];
@@ -165,8 +164,7 @@ Json loop_table_json(const BenchInfo& info, const std::vector<SequenceResult>& r
   table["alignment"] = "se3";
   table["accuracy_kept_when"] = {{"relative", kKeptRelative}, {"or_m", kKeptM}};
   table["sequences"] = Json::array();
-  for (const SequenceResult& r : results)
-    table["sequences"].push_back(row_json(r, info.backends));
+  for (const SequenceResult& r : results) table["sequences"].push_back(row_json(r, info.backends));
   return table;
 }
 

@@ -22,10 +22,10 @@ Json to_json(const BenchInfo& info, const std::string& kind);
 
 /// What one run contributes to the table.
 struct RunMeasurement {
-  std::vector<PaperTimes> loops;   ///< of the loops that were closed
-  std::vector<double> merges_ms;   ///< whole, of each merge of maps
+  std::vector<PaperTimes> loops;  ///< of the loops that were closed
+  std::vector<double> merges_ms;  ///< whole, of each merge of maps
   std::vector<double> tracking_around_loops_ms;
-  StageStatistics tracking;        ///< of all frames
+  StageStatistics tracking;                           ///< of all frames
   double ate_m = 0, coverage = 0, path_length_m = 0;  ///< 0 without ground truth
   double peak_mib = 0;
   std::size_t frames = 0, keyframes = 0;

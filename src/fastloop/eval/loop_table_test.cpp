@@ -55,8 +55,8 @@ BenchInfo info(std::vector<std::string> backends) {
 }
 
 TEST(LoopTable, MeansSpeedUpsAndTheRestOfARow) {
-  const Json table = loop_table_json(
-      info({"reference", "cpu"}), {row("A", {runs_of(100, 0.010), runs_of(20, 0.0115)})});
+  const Json table = loop_table_json(info({"reference", "cpu"}),
+                                     {row("A", {runs_of(100, 0.010), runs_of(20, 0.0115)})});
   const Json& a = table["sequences"][0];
   const Json& cpu = a["backends"]["cpu"];
   EXPECT_DOUBLE_EQ(cpu["columns_ms"]["total"]["mean"], 20);
@@ -75,8 +75,8 @@ TEST(LoopTable, MeansSpeedUpsAndTheRestOfARow) {
 
 TEST(LoopTable, AccuracyIsKeptWithinFivePercentOrTwoMillimetres) {
   const auto kept = [](double reference, double other) {
-    const Json table = loop_table_json(
-        info({"reference", "cpu"}), {row("A", {runs_of(9, reference), runs_of(9, other)})});
+    const Json table = loop_table_json(info({"reference", "cpu"}),
+                                       {row("A", {runs_of(9, reference), runs_of(9, other)})});
     return table["sequences"][0]["comparison"]["cpu"]["accuracy_kept"].get<bool>();
   };
   EXPECT_TRUE(kept(0.010, 0.0119));
@@ -124,9 +124,9 @@ TEST(LoopTable, RunsThatDifferAreTold) {
 }
 
 TEST(LoopTable, CsvIsRectangular) {
-  const Json table = loop_table_json(
-      info({"reference", "cpu"}),
-      {row("A", {runs_of(100, 0.01), runs_of(20, 0.01)}), row("B", {runs_of(9, 0, 0), runs_of(9, 0, 0)})});
+  const Json table = loop_table_json(info({"reference", "cpu"}),
+                                     {row("A", {runs_of(100, 0.01), runs_of(20, 0.01)}),
+                                      row("B", {runs_of(9, 0, 0), runs_of(9, 0, 0)})});
   std::istringstream lines(loop_table_csv(table));
   std::string line;
   std::getline(lines, line);

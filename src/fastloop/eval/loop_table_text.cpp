@@ -13,7 +13,9 @@ std::string fixed(double value, int decimals) {
   return text;
 }
 
-std::string text_of(const Json& j) { return j.get<std::string>(); }
+std::string text_of(const Json& j) {
+  return j.get<std::string>();
+}
 
 /// Collects the rows of a Markdown table.
 class Rows {
@@ -55,8 +57,8 @@ std::string times_table(const Json& table) {
         std::string cell = mean_and_sd(b["columns_ms"][c.key]);
         if (row.contains("comparison") && row["comparison"].contains(backend) &&
             row["comparison"][backend]["speed_up"].contains(c.key))
-          cell += " (" +
-                  three_digits(row["comparison"][backend]["speed_up"][c.key].get<double>()) + "x)";
+          cell += " (" + three_digits(row["comparison"][backend]["speed_up"][c.key].get<double>()) +
+                  "x)";
         cells.push_back(cell);
       }
       rows.add(cells);
@@ -134,9 +136,10 @@ std::string verdicts(const Json& table) {
       faster += ratio > 1;
       log_sum += std::log(ratio);
     });
-    text += "- `" + name + "` against `" + text_of(table["backends"][0]) + "`: the same number of loops on " +
-            std::to_string(same) + " of " + std::to_string(rows) + " rows; accuracy kept on " +
-            std::to_string(kept) + " of " + std::to_string(with_truth);
+    text += "- `" + name + "` against `" + text_of(table["backends"][0]) +
+            "`: the same number of loops on " + std::to_string(same) + " of " +
+            std::to_string(rows) + " rows; accuracy kept on " + std::to_string(kept) + " of " +
+            std::to_string(with_truth);
     if (with_loops)
       text += "; total loop closing faster on " + std::to_string(faster) + " of " +
               std::to_string(with_loops) + " rows with loops, " +
@@ -174,12 +177,16 @@ std::string provenance_markdown(const Json& table) {
 std::string loop_table_markdown(const Json& table) {
   std::string text = provenance_markdown(table) + "\n" + verdicts(table);
   text +=
-      "\nTimes of a loop in ms, mean ± standard deviation over the loops of all runs; in brackets the "
-      "speed-up against the first back end.\nTotal = region detection + loop correction; loop "
+      "\nTimes of a loop in ms, mean ± standard deviation over the loops of all runs; in brackets "
+      "the "
+      "speed-up against the first back end (ratio of medians).\nTotal = region detection + loop "
+      "correction; loop "
       "correction = loop fusion + graph optimisation + what is left.\n\n" +
       times_table(table);
-  text += "\nATE: RMSE after SE3 alignment of all tracked frames, median over the runs. Kept: worse by at most 5 % or 2 mm.\n\n" +
-          accuracy_table(table);
+  text +=
+      "\nATE: RMSE after SE3 alignment of all tracked frames, median over the runs. Kept: worse by "
+      "at most 5 % or 2 mm.\n\n" +
+      accuracy_table(table);
   text +=
       "\nTracking around loops: frames within 2 s of a correction. Memory: peak of the whole "
       "process.\n\n" +

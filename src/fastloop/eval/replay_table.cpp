@@ -13,21 +13,20 @@ void count_graph(const map::Snapshot& snapshot, const loop::LoopRequest& request
                  const map::LoopCorrection& correction, ReplayCase& c) {
   if (correction.kind != map::LoopCorrection::Kind::kLoop) return;
   map::EssentialGraphOptions options;
-  options.kind = request.inertial ? optimization::PoseGraphKind::kYaw
-                                  : optimization::PoseGraphKind::kSim3;
+  options.kind =
+      request.inertial ? optimization::PoseGraphKind::kYaw : optimization::PoseGraphKind::kSim3;
   map::EssentialGraph graph;
-  map::build_essential_graph(snapshot, correction.map,
-                             {correction.edge, {}, {}, correction.edge.a}, options, graph);
+  map::build_essential_graph(snapshot, correction.map, {correction.edge, {}, {}, correction.edge.a},
+                             options, graph);
   c.poses = graph.keyframe_of_vertex.size();
   c.edges = graph.problem.edges.size();
 }
 
 void compare_outcomes(const std::vector<loop::LoopCloser::Outcome>& outcomes, ReplayCase& c) {
   for (std::size_t i = 1; i < outcomes.size(); ++i) {
-    c.decisions_equal &=
-        loop::decision_digest(outcomes[i]) == loop::decision_digest(outcomes[0]);
-    c.largest_pose_difference = std::max(
-        c.largest_pose_difference, loop::largest_pose_difference(outcomes[0], outcomes[i]));
+    c.decisions_equal &= loop::decision_digest(outcomes[i]) == loop::decision_digest(outcomes[0]);
+    c.largest_pose_difference = std::max(c.largest_pose_difference,
+                                         loop::largest_pose_difference(outcomes[0], outcomes[i]));
   }
 }
 
@@ -39,8 +38,7 @@ StageList published(const StageList& stages) {
   return list;
 }
 
-void check_stages(const std::string& backend, const std::vector<TimedStages>& runs,
-                  ReplayCase& c) {
+void check_stages(const std::string& backend, const std::vector<TimedStages>& runs, ReplayCase& c) {
   if (runs.empty()) return;
   for (const std::string& stage : paper_times(runs.front().stages_ms).unknown)
     c.notes.push_back("the stage '" + stage + "' belongs to no column of the table");
@@ -87,17 +85,18 @@ Json case_json(const ReplayCase& c, const std::vector<std::string>& backends) {
          {"largest_pose_difference", c.largest_pose_difference},
          {"notes", c.notes}};
   j["backends"] = Json::object();
-  for (std::size_t b = 0; b < backends.size(); ++b) j["backends"][backends[b]] = backend_json(c.runs[b]);
+  for (std::size_t b = 0; b < backends.size(); ++b)
+    j["backends"][backends[b]] = backend_json(c.runs[b]);
   const Json& base = j["backends"][backends[0]];
   Json speed_ups = Json::object();
   for (std::size_t b = 1; b < backends.size(); ++b) {
     const Json& other = j["backends"][backends[b]];
     if (base.is_null() || other.is_null()) continue;
     for (const PaperColumn& column : paper_columns()) {
-      const double ms = other["columns_ms"][column.key]["mean"];
+      const double ms = other["columns_ms"][column.key]["median"];
       if (ms > 0)
         speed_ups[backends[b]][column.key] =
-            base["columns_ms"][column.key]["mean"].get<double>() / ms;
+            base["columns_ms"][column.key]["median"].get<double>() / ms;
     }
   }
   j["speed_up"] = speed_ups;

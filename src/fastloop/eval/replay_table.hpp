@@ -18,8 +18,8 @@ struct ReplayCase {
   double map_mib = 0;                ///< heap that the map holds; 0: not measured
   std::string verdict, reason;
   bool merge = false;
-  bool decisions_equal = true;            ///< all back ends took the same ones
-  double largest_pose_difference = 0;     ///< between the first back end and any other, m or rad
+  bool decisions_equal = true;         ///< all back ends took the same ones
+  double largest_pose_difference = 0;  ///< between the first back end and any other, m or rad
   std::vector<std::string> notes;
   /// [back ends][runs]; empty for a back end that was left out.
   std::vector<std::vector<TimedStages>> runs;

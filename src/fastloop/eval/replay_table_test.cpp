@@ -21,7 +21,10 @@ ReplayCase made_up(std::size_t poses, double ratio) {
   c.edges = 7 * poses;
   c.verdict = "accepted";
   for (const double factor : {ratio, 1.0})
-    c.runs.push_back({{{{"words", factor}, {"loop_fusion", 2 * factor}, {"graph_solve", 3 * factor}, {"apply_poses", 4 * factor}},
+    c.runs.push_back({{{{"words", factor},
+                        {"loop_fusion", 2 * factor},
+                        {"graph_solve", 3 * factor},
+                        {"apply_poses", 4 * factor}},
                        10 * factor}});
   return c;
 }
@@ -34,12 +37,14 @@ BenchInfo info() {
 }
 
 TEST(ReplayTable, SpeedUpsAndCharts) {
-  const Json table =
-      replay_table_json(info(), "bench scale", {made_up(100, 4), made_up(1000, 8)});
+  const Json table = replay_table_json(info(), "bench scale", {made_up(100, 4), made_up(1000, 8)});
   EXPECT_DOUBLE_EQ(table["cases"][1]["speed_up"]["cpu"]["total"], 8);
-  EXPECT_DOUBLE_EQ(table["cases"][0]["backends"]["cpu"]["columns_ms"]["loop_correction"]["mean"], 9);
-  EXPECT_THAT(replay_table_markdown(table), AllOf(HasSubstr("10.0 ± 0.0 (8.00x)"), Not(HasSubstr("nan"))));
-  EXPECT_THAT(replay_table_csv(table), HasSubstr("1000,1000,0,1000,7000,cpu,stage loop_fusion,1,2.0,"));
+  EXPECT_DOUBLE_EQ(table["cases"][0]["backends"]["cpu"]["columns_ms"]["loop_correction"]["mean"],
+                   9);
+  EXPECT_THAT(replay_table_markdown(table),
+              AllOf(HasSubstr("10.0 ± 0.0 (8.00x)"), Not(HasSubstr("nan"))));
+  EXPECT_THAT(replay_table_csv(table),
+              HasSubstr("1000,1000,0,1000,7000,cpu,stage loop_fusion,1,2.0,"));
   const std::string svg = speed_up_svg(table);
   EXPECT_THAT(svg, AllOf(HasSubstr("poses of the graph"), HasSubstr("edges of the graph"),
                          HasSubstr("graph optimisation"), Not(HasSubstr("nan"))));

@@ -8,7 +8,9 @@
 namespace fastloop::eval {
 namespace {
 
-std::string text_of(const Json& j) { return j.get<std::string>(); }
+std::string text_of(const Json& j) {
+  return j.get<std::string>();
+}
 
 std::string row(const std::vector<std::string>& cells) {
   std::string text;
@@ -41,10 +43,10 @@ std::string columns_table(const Json& table) {
   return text;
 }
 
-/// Mean of a stage, or nothing where the back end has no such stage.
-std::optional<double> stage_mean(const Json& backend, const std::string& stage) {
+/// Median of a stage, or nothing where the back end has no such stage.
+std::optional<double> stage_median(const Json& backend, const std::string& stage) {
   if (backend.is_null() || !backend["stages_ms"].contains(stage)) return std::nullopt;
-  return backend["stages_ms"][stage]["mean"].get<double>();
+  return backend["stages_ms"][stage]["median"].get<double>();
 }
 
 std::vector<std::string> stages_of(const Json& c) {
@@ -66,10 +68,10 @@ std::string stages_table(const Json& table, const Json& c) {
   for (const std::string& stage : stages_of(c)) {
     cells = {stage};
     for (const auto& [backend, b] : c["backends"].items())
-      cells.push_back(stage_mean(b, stage) ? mean_and_sd(b["stages_ms"][stage]) : "-");
-    const auto base = stage_mean(c["backends"].front(), stage);
+      cells.push_back(stage_median(b, stage) ? mean_and_sd(b["stages_ms"][stage]) : "-");
+    const auto base = stage_median(c["backends"].front(), stage);
     for (std::size_t b = 1; b < table["backends"].size(); ++b) {
-      const auto ms = stage_mean(c["backends"][text_of(table["backends"][b])], stage);
+      const auto ms = stage_median(c["backends"][text_of(table["backends"][b])], stage);
       cells.push_back(base && ms && *ms > 0.005 && *base > 0.005 ? three_digits(*base / *ms) : "-");
     }
     text += row(cells);
@@ -99,16 +101,18 @@ constexpr const char* kColours[] = {"#111111", "#1f6fc4", "#c4441f", "#2a7f3f", 
 template <class Use>
 void for_each_speed_up(const Json& table, const std::string& backend, const Use& use) {
   for (const Json& c : table["cases"])
-    if (c["speed_up"].contains(backend) && c["poses"].get<int>() > 0) use(c, c["speed_up"][backend]);
+    if (c["speed_up"].contains(backend) && c["poses"].get<int>() > 0)
+      use(c, c["speed_up"][backend]);
 }
 
 }  // namespace
 
 std::string replay_table_markdown(const Json& table) {
-  std::string text = provenance_markdown(table) +
-                     "\nTimes of one loop in ms, mean ± standard deviation over the runs; in brackets the "
-                     "speed-up against the first back end.\n\n" +
-                     columns_table(table);
+  std::string text =
+      provenance_markdown(table) +
+      "\nTimes of one loop in ms, mean ± standard deviation over the runs; in brackets the "
+      "speed-up against the first back end (ratio of medians).\n\n" +
+      columns_table(table);
   for (const Json& c : table["cases"])
     text += "\n" + text_of(c["name"]) + ", stage by stage:\n\n" + stages_table(table, c);
   const std::string notes = remarks(table);
@@ -118,7 +122,8 @@ std::string replay_table_markdown(const Json& table) {
 
 std::string replay_table_csv(const Json& table) {
   std::string text =
-      "map,keyframes,landmarks,poses,edges,backend,what,runs,mean_ms,sd_ms,median_ms,min_ms,max_ms\n";
+      "map,keyframes,landmarks,poses,edges,backend,what,runs,mean_ms,sd_ms,median_ms,min_ms,max_"
+      "ms\n";
   for (const Json& c : table["cases"]) {
     for (const auto& [backend, b] : c["backends"].items()) {
       if (b.is_null()) continue;
@@ -129,7 +134,8 @@ std::string replay_table_csv(const Json& table) {
         for (const auto& [what, s] : b[group].items()) {
           text += begin + (std::string(group) == "columns_ms" ? "column " : "stage ") + what + "," +
                   s["count"].dump();
-          for (const char* key : {"mean", "sd", "median", "min", "max"}) text += "," + s[key].dump();
+          for (const char* key : {"mean", "sd", "median", "min", "max"})
+            text += "," + s[key].dump();
           text += "\n";
         }
     }
@@ -167,7 +173,7 @@ std::string time_chart(const Json& table) {
       const Json& b = c["backends"][text_of(backend)];
       if (!b.is_null())
         s.points.push_back(
-            {c["keyframes"].get<double>(), b["columns_ms"]["total"]["mean"].get<double>()});
+            {c["keyframes"].get<double>(), b["columns_ms"]["total"]["median"].get<double>()});
     }
     chart.series.push_back(s);
   }

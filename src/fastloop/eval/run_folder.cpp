@@ -18,7 +18,8 @@ void with_json(const fs::path& file, int line, const std::string& text, const Us
   try {
     use(Json::parse(text));
   } catch (const Json::exception& e) {
-    throw InputError({file.string(), line, ""}, std::string("not as fastloop run writes it: ") + e.what());
+    throw InputError({file.string(), line, ""},
+                     std::string("not as fastloop run writes it: ") + e.what());
   }
 }
 

@@ -27,7 +27,8 @@ void write_run(const io::TemporaryFolder& folder, const std::string& loops, doub
   }
   folder.write("summary.json", R"({"frames": 10})");
   folder.write("timing.json", timing.dump());
-  folder.write("events.jsonl", R"({"t":"100.000000000","event":"initialised","reason":"stereo"})" "\n");
+  folder.write("events.jsonl", R"({"t":"100.000000000","event":"initialised","reason":"stereo"})"
+                               "\n");
   folder.write("loops.jsonl", loops);
   folder.write("trajectory_body.txt", "100.0 0 0 0 0 0 0 1\n101.0 1 0 0 0 0 0 1\n");
   folder.write("trajectory_live.txt", "");
@@ -35,8 +36,10 @@ void write_run(const io::TemporaryFolder& folder, const std::string& loops, doub
 
 TEST(RunFolder, ReadsBackWhatARunWrote) {
   const io::TemporaryFolder folder;
-  write_run(folder, std::string(kLoop) + "\n" +
-                        R"({"t":"106.000000000","keyframe":10,"verdict":"rejected","reason":"no","candidates":[]})");
+  write_run(
+      folder,
+      std::string(kLoop) + "\n" +
+          R"({"t":"106.000000000","keyframe":10,"verdict":"rejected","reason":"no","candidates":[]})");
   const RunFolder run = read_run_folder(folder.path());
   ASSERT_EQ(run.loops.size(), 1u);
   EXPECT_EQ(run.refused_candidates, 1u);

@@ -13,8 +13,7 @@ namespace fs = std::filesystem;
 
 SequenceKind parse_kind(const io::YamlNode& node) {
   const std::string text = node.text();
-  for (const auto kind :
-       {SequenceKind::kReal, SequenceKind::kHalfReal, SequenceKind::kSimulated})
+  for (const auto kind : {SequenceKind::kReal, SequenceKind::kHalfReal, SequenceKind::kSimulated})
     if (text == to_string(kind)) return kind;
   node.fail("unknown kind '" + text + "'", "real, half-real or simulated");
 }
@@ -67,17 +66,21 @@ SequenceKind kind_by_marker(const fs::path& folder) {
   if (!fs::exists(folder / "simulation.txt", none)) return SequenceKind::kUnknown;
   const std::string text = io::read_text_file(folder / "simulation.txt");
   return text.find("motion recorded") == std::string::npos ? SequenceKind::kSimulated
-                                                  : SequenceKind::kHalfReal;
+                                                           : SequenceKind::kHalfReal;
 }
 
 }  // namespace
 
 const char* to_string(SequenceKind kind) {
   switch (kind) {
-    case SequenceKind::kReal: return "real";
-    case SequenceKind::kHalfReal: return "half-real";
-    case SequenceKind::kSimulated: return "simulated";
-    case SequenceKind::kUnknown: break;
+    case SequenceKind::kReal:
+      return "real";
+    case SequenceKind::kHalfReal:
+      return "half-real";
+    case SequenceKind::kSimulated:
+      return "simulated";
+    case SequenceKind::kUnknown:
+      break;
   }
   return "unknown";
 }

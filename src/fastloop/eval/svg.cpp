@@ -126,7 +126,9 @@ std::string Canvas::str(bool fluid) const {
          body_ + "</svg>\n";
 }
 
-double Axes::x(double value) const { return left + fraction(value, x_min, x_max, x_log) * width; }
+double Axes::x(double value) const {
+  return left + fraction(value, x_min, x_max, x_log) * width;
+}
 double Axes::y(double value) const {
   return top + (1 - fraction(value, y_min, y_max, y_log)) * height;
 }
@@ -167,6 +169,8 @@ void draw_line(Canvas& canvas, const Axes& axes, const std::vector<Point>& point
 }
 
 namespace {
+
+constexpr double kLeft = 64, kRight = 14;  ///< margins of a chart
 
 struct Range {
   double low = std::numeric_limits<double>::infinity();
@@ -225,11 +229,11 @@ Axes axes_of(const Chart& chart, double top, double height) {
       x.add(p[0]);
       y.add(p[1]);
     }
-  Axes axes{58, top, kChartWidth - 58 - 14, height - top - 46, 0, 1, 0, 1, chart.x_log,
-            chart.y_log};
+  Axes axes{kLeft,       top,        kChartWidth - kLeft - kRight, height - top - 46, 0, 1, 0, 1,
+            chart.x_log, chart.y_log};
   if (chart.equal) {
-    const double scale = 1.06 * std::max({(x.high - x.low) / axes.width,
-                                          (y.high - y.low) / axes.height, 1e-6});
+    const double scale =
+        1.06 * std::max({(x.high - x.low) / axes.width, (y.high - y.low) / axes.height, 1e-6});
     const double cx = (x.low + x.high) / 2, cy = (y.low + y.high) / 2;
     x = {cx - scale * axes.width / 2, cx + scale * axes.width / 2};
     y = {cy - scale * axes.height / 2, cy + scale * axes.height / 2};
@@ -251,7 +255,7 @@ std::string draw_chart(const Chart& chart, double height) {
                                  [](const Series& s) { return s.points.empty(); });
   if (empty) return "";
   Canvas canvas(kChartWidth, height);
-  const double top = draw_legend(canvas, chart, 58, kChartWidth - 58 - 14);
+  const double top = draw_legend(canvas, chart, kLeft, kChartWidth - kLeft - kRight);
   const Axes axes = axes_of(chart, top, height);
   axes.draw(canvas, chart.x_label, chart.y_label);
   for (const Mark& m : chart.marks)
