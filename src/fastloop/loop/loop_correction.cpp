@@ -109,8 +109,9 @@ LoopCorrection compute_correction(const Snapshot& snapshot, const RegionMatch& m
   clock.lap("correct_poses");
 
   const map::LandmarkArrays cloud(
-      snapshot, map::landmarks_of(snapshot, window_of(snapshot, match.matched,
-                                                      options.window_covisibles)));
+      snapshot,
+      map::landmarks_of(snapshot, window_of(snapshot, match.matched, options.window_covisibles)),
+      executor_of(backend));
   Fusion fusion = fuse_loop(executor_of(backend), snapshot, options, match, moved, cloud);
   clock.lap("loop_fusion");
   if (match.merge) {

@@ -134,7 +134,7 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
 
 void Verifier::guide(const Snapshot& snapshot, KeyframeId current, Hypothesis& h) const {
   const LoopOptions& o = options_;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window));
+  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executor_);
   h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.wide_radius_px,
                    o.wide_max_distance);
   if (!h.gate("wide projection matches", h.found.count, o.min_wide_matches,
@@ -192,9 +192,9 @@ void Verifier::verify(const Snapshot& snapshot, KeyframeId current,
     for (; begin < end; ++begin) {
       Hypothesis& h = hypotheses[begin];
       if (h.alive()) guide(snapshot, current, h);
-      if (h.alive()) confirm(snapshot, current, h);
       if (h.alive()) h.out->match = make_region_match(snapshot, current, h.window.front(),
                                                       h.T_camera_world, h.cloud, h.found);
+      if (h.alive()) confirm(snapshot, current, h);
     }
   });
   clock.lap("projection_searches");
@@ -218,7 +218,7 @@ Verified Verifier::recheck(const Snapshot& snapshot, KeyframeId current, Keyfram
           h.window.push_back(second);
   }
   h.T_camera_world = predicted_T_camera_world;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window));
+  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executor_);
   h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.covisible_radius_px,
                    o.covisible_max_distance);
   if (h.gate("projection matches", h.found.count, o.min_covisible_matches,

@@ -16,7 +16,7 @@ namespace fastloop::loop {
 /// What verification found out about one candidate. The report says how far it got.
 struct Verified {
   CandidateReport report;
-  RegionMatch match;      ///< meaningful when `confirmations` > 0
+  RegionMatch match;      ///< meaningful when the narrow search passed: num_matches > 0
   int confirmations = 0;  ///< covisible keyframes of the current one that agree
 };
 

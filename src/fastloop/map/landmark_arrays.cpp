@@ -5,23 +5,26 @@
 
 namespace fastloop::map {
 
-LandmarkArrays::LandmarkArrays(const Snapshot& snapshot, std::vector<LandmarkId> chosen)
+LandmarkArrays::LandmarkArrays(const Snapshot& snapshot, std::vector<LandmarkId> chosen,
+                               const Executor& executor)
     : ids(std::move(chosen)) {
   const std::size_t n = ids.size();
-  p_world.reserve(n);
-  normal_world.reserve(n);
-  min_distance_m.reserve(n);
-  max_distance_m.reserve(n);
-  descriptor.reserve(n);
-  for (const LandmarkId id : ids) {
-    const Landmark& l = snapshot.landmark(id);
-    const SE3& T_world_anchor = snapshot.keyframe(l.anchor).state.T_world_body;
-    p_world.push_back((T_world_anchor * l.p_anchor).cast<float>());
-    normal_world.push_back((T_world_anchor.rotation * l.normal_anchor.cast<double>()).cast<float>());
-    min_distance_m.push_back(l.min_distance_m);
-    max_distance_m.push_back(l.max_distance_m);
-    descriptor.push_back(l.descriptor);
-  }
+  p_world.resize(n);
+  normal_world.resize(n);
+  min_distance_m.resize(n);
+  max_distance_m.resize(n);
+  descriptor.resize(n);
+  executor.for_ranges(n, 512, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      const Landmark& l = snapshot.landmark(ids[i]);
+      const SE3& T_world_anchor = snapshot.keyframe(l.anchor).state.T_world_body;
+      p_world[i] = (T_world_anchor * l.p_anchor).cast<float>();
+      normal_world[i] = (T_world_anchor.rotation * l.normal_anchor.cast<double>()).cast<float>();
+      min_distance_m[i] = l.min_distance_m;
+      max_distance_m[i] = l.max_distance_m;
+      descriptor[i] = l.descriptor;
+    }
+  });
 }
 
 std::vector<LandmarkId> landmarks_of(const Snapshot& snapshot,

@@ -16,7 +16,8 @@ struct LandmarkArrays {
   std::vector<Descriptor> descriptor;
 
   LandmarkArrays() = default;
-  LandmarkArrays(const Snapshot& snapshot, std::vector<LandmarkId> chosen);
+  LandmarkArrays(const Snapshot& snapshot, std::vector<LandmarkId> chosen,
+                 const Executor& executor = Executor::reference());
 
   std::size_t size() const { return ids.size(); }
   matching::LandmarkView view() const {

@@ -10,6 +10,7 @@ namespace fastloop::matching {
 /// window is a few runs that are compared eight at a time.
 class OrderedKeypoints {
  public:
+  OrderedKeypoints() = default;
   explicit OrderedKeypoints(const FeatureView& features);
 
   /// Whether this processor has the instructions (AVX2 and the population count).
@@ -19,7 +20,7 @@ class OrderedKeypoints {
   MatchKey scan(const ScaleView& scales, const WindowScan& window, const Descriptor& query) const;
 
  private:
-  FeatureView features_;
+  FeatureView features_{};
   std::vector<float> x_, y_;           ///< [keypoints + 8]
   std::vector<std::uint8_t> octave_;   ///< [keypoints + 8]; blocked: 255, which no window accepts
 };

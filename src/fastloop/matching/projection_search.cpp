@@ -174,8 +174,11 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
     search_all(executor, ScalarSearch<PortableDistances>{{rule, arrays, {}}, views}, n, keys, results);
   } else if (can_sight_batches() && OrderedKeypoints::supported()) {
     VectorSearch search{rule, arrays, views, {}};
-    search.keypoints.reserve(views.size());
-    for (const TargetView& view : views) search.keypoints.emplace_back(view.features);
+    search.keypoints.resize(views.size());
+    executor.for_ranges(views.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin)
+        search.keypoints[begin] = OrderedKeypoints(views[begin].features);
+    });
     search_all(executor, search, n, keys, results);
   } else {
     search_all(executor, ScalarSearch<CpuDistances>{{rule, arrays, {}}, views}, n, keys, results);
