@@ -2,13 +2,14 @@
 
 #include <tbb/info.h>
 #include <tbb/parallel_for.h>
+#include <tbb/spin_mutex.h>
 #include <tbb/task_arena.h>
 #include <tbb/task_group.h>
 
 #include <algorithm>
-#include <atomic>
 #include <functional>
 #include <new>
+#include <utility>
 #include <vector>
 
 #if defined(__linux__)
@@ -39,10 +40,41 @@ struct Passes::Threads {
   explicit Threads(int n) : count(n), arena(n) {}
   int count;
   tbb::task_arena arena;
-  std::vector<std::atomic<int>> waiting;  // feeding tasks that have not ended
+  tbb::spin_mutex mutex;                      // tasks are short: sleeping would cost more
+  std::vector<int> waiting;                   // feeding tasks that have not ended
+  std::vector<std::pair<double, int>> ready;  // heap, the longest way to the root on top
   std::vector<int> feeding_begin, feeding;
 
+  void start(const SymbolicPlan& plan) {
+    waiting.resize(plan.tasks.size());
+    ready.clear();
+    for (std::size_t t = 0; t < plan.tasks.size(); ++t) {
+      waiting[t] = plan.tasks[t].num_feeding;
+      if (waiting[t] == 0) ready.emplace_back(plan.tasks[t].path, static_cast<int>(t));
+    }
+    std::make_heap(ready.begin(), ready.end());
+  }
+
+  /// Notes that `ended` (or -1) has ended and gives the next task, or -1.
+  int take(const SymbolicPlan& plan, int ended) {
+    const tbb::spin_mutex::scoped_lock lock(mutex);
+    const int above = ended < 0 ? -1 : plan.tasks[ended].parent;
+    if (above >= 0 && --waiting[above] == 0) {
+      ready.emplace_back(plan.tasks[above].path, above);
+      std::push_heap(ready.begin(), ready.end());
+    }
+    if (ready.empty()) return -1;
+    std::pop_heap(ready.begin(), ready.end());
+    const int task = ready.back().second;
+    ready.pop_back();
+    return task;
+  }
+
+  bool linked = false;
+
   void link(const SymbolicPlan& plan) {
+    if (linked) return;
+    linked = true;
     feeding_begin.assign(plan.tasks.size() + 1, 0);
     for (const Task& t : plan.tasks)
       if (t.parent >= 0) ++feeding_begin[t.parent + 1];
@@ -51,6 +83,12 @@ struct Passes::Threads {
     std::vector<int> cursor(feeding_begin.begin(), feeding_begin.end() - 1);
     for (std::size_t t = 0; t < plan.tasks.size(); ++t)
       if (plan.tasks[t].parent >= 0) feeding[cursor[plan.tasks[t].parent]++] = static_cast<int>(t);
+    // Whoever ends a task goes down the longest way and leaves the others to be picked up.
+    for (std::size_t t = 0; t < plan.tasks.size(); ++t)
+      std::sort(feeding.begin() + feeding_begin[t], feeding.begin() + feeding_begin[t + 1],
+                [&](int a, int b) {
+                  return std::pair(plan.tasks[a].below, a) > std::pair(plan.tasks[b].below, b);
+                });
   }
 };
 
@@ -64,6 +102,7 @@ void Passes::set_threads(int threads) {
   } else if (!threads_ || threads_->count != threads) {
     threads_ = std::make_unique<Threads>(threads);
   }
+  if (threads_) threads_->linked = false;
 }
 
 int Passes::threads() const { return threads_ ? threads_->count : 1; }
@@ -77,21 +116,16 @@ void Passes::bottom_up(const SymbolicPlan& plan, IndexedBody body) {
     return;
   }
   Threads& threads = *threads_;
-  if (threads.waiting.size() < n) threads.waiting = std::vector<std::atomic<int>>(n);
-  for (std::size_t t = 0; t < n; ++t) threads.waiting[t] = plan.tasks[t].num_feeding;
+  threads.start(plan);
+  // A task that ends makes at most one other ready, so that who finds nothing may leave for good.
+  const auto work = [&] {
+    for (int task = threads.take(plan, -1); task >= 0; task = threads.take(plan, task))
+      body(static_cast<std::size_t>(task));
+  };
   threads.arena.execute([&] {
     tbb::task_group group;
-    for (std::size_t t = 0; t < n; ++t) {
-      if (plan.tasks[t].num_feeding != 0) continue;
-      group.run([&, t] {
-        // Whoever ends last among the tasks that feed a task carries on with it.
-        for (int task = static_cast<int>(t); task >= 0;) {
-          body(static_cast<std::size_t>(task));
-          task = plan.tasks[task].parent;
-          if (task >= 0 && --threads.waiting[task] != 0) break;
-        }
-      });
-    }
+    for (int t = 1; t < threads.count; ++t) group.run(work);
+    work();
     group.wait();
   });
 }

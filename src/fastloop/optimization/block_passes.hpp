@@ -50,6 +50,7 @@ class Passes {
  public:
   Passes();
   ~Passes();
+  /// At the beginning of a call: the passes that follow are over one plan.
   void set_threads(int threads);
   int threads() const;
   /// Number of the calling thread among those of a pass, in [0, threads()).

@@ -266,6 +266,22 @@ void build_tasks(SymbolicPlan& plan, int block_size) {
   }
 }
 
+/// What scheduling needs: with few threads the long way through the tree must start first.
+void weigh_tasks(SymbolicPlan& plan, int block_size) {
+  for (Task& t : plan.tasks) {
+    double own = 0;
+    for (std::size_t i = t.begin; i < t.end; ++i)
+      own += front_work(plan.fronts[plan.task_fronts[i]], block_size);
+    t.path = own;
+    t.below += own;
+    if (t.parent < 0) continue;
+    double& parent = plan.tasks[t.parent].below;  // so far the costliest of its feeding tasks
+    parent = std::max(parent, t.below);
+  }
+  for (std::size_t t = plan.tasks.size(); t-- > 0;)
+    if (plan.tasks[t].parent >= 0) plan.tasks[t].path += plan.tasks[plan.tasks[t].parent].path;
+}
+
 /// Memory of one task's update matrices: a front's slot is free again once its parent has read it,
 /// and the next front gets the lowest free one, which is the one most likely still in the cache.
 class SlotAllocator {
@@ -363,6 +379,7 @@ void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_s
   find_rows(graph, new_parent, plan);
   map_to_parents(plan);
   build_tasks(plan, block_size);
+  weigh_tasks(plan, block_size);
   assign_memory(plan, block_size);
 }
 

@@ -35,6 +35,8 @@ struct Task {
   std::size_t begin = 0, end = 0;  ///< into SymbolicPlan::task_fronts
   int parent = -1;
   int num_feeding = 0;
+  double path = 0;   ///< work of this task and of all on the way to its root
+  double below = 0;  ///< work of the costliest way from a leaf up to this task, itself included
 };
 
 /// Elimination structure of a block-sparse symmetric matrix.
