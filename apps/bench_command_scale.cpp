@@ -13,6 +13,7 @@
 #include "fastloop/eval/replay_table.hpp"
 #include "fastloop/io/run_output.hpp"
 #include "fastloop/io/text.hpp"
+#include "fastloop/place/default_vocabulary.hpp"
 #include "fastloop/sim/map_worlds.hpp"
 
 namespace fastloop::apps {
@@ -94,6 +95,7 @@ int bench(const Arguments& a) {
   const eval::BenchInfo info = bench_info(command_line(), plan.backends, a.runs, a.warm_up);
   std::vector<eval::ReplayCase> cases;
   std::string markdown;
+  place::default_vocabulary();  // is loaded once, and belongs to no map
   for (const int size : sizes) {
     cases.push_back(measure_size(size, a, plan));
     const eval::ReplayCase& c = cases.back();
