@@ -5,12 +5,15 @@
 #   x_test.cpp         test, ctest label "unit"
 #   x_slow_test.cpp    test, ctest label "slow"
 #   x_dataset_test.cpp test that reads data outside the repository, ctest label "dataset"
+#   x.cu               library source of builds with CUDA
+#   x_no_cuda.cpp      library source of builds without
 # ctest names are NAME/Suite.Test.
 
 add_library(fastloop_warnings INTERFACE)
-target_compile_options(fastloop_warnings INTERFACE -Wall -Wextra -Wshadow -Wnon-virtual-dtor
-                       -Woverloaded-virtual $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>
-                       $<$<CXX_COMPILER_ID:GNU>:-Wno-restrict>)
+target_compile_options(fastloop_warnings INTERFACE
+                       $<$<COMPILE_LANGUAGE:CXX>:-Wall;-Wextra;-Wshadow;-Wnon-virtual-dtor;-Woverloaded-virtual>
+                       $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-maybe-uninitialized;-Wno-restrict>
+                       $<$<COMPILE_LANGUAGE:CUDA>:-Xcompiler=-Wall;-Xcudafe=--diag_suppress=20012>)
 add_library(fastloop_sanitizers INTERFACE)
 if(FASTLOOP_SANITIZE)
   target_compile_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE}
@@ -35,10 +38,18 @@ function(fastloop_module name)
   set(all_tests ${sources})
   list(FILTER sources EXCLUDE REGEX "_test\\.cpp$")
   list(FILTER all_tests INCLUDE REGEX "_test\\.cpp$")
+  if(FASTLOOP_WITH_CUDA)
+    list(FILTER sources EXCLUDE REGEX "_no_cuda\\.cpp$")
+    file(GLOB cuda_sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cu)
+    list(APPEND sources ${cuda_sources})
+  endif()
   if(sources)
     add_library(fastloop_${name} STATIC ${sources})
     target_link_libraries(fastloop_${name} PUBLIC ${M_DEPS} fastloop_sanitizers PRIVATE fastloop_warnings)
     target_include_directories(fastloop_${name} PUBLIC ${PROJECT_SOURCE_DIR}/src)
+    if(cuda_sources)
+      target_link_libraries(fastloop_${name} PRIVATE CUDA::cudart_static)
+    endif()
   else()
     add_library(fastloop_${name} INTERFACE)
     target_link_libraries(fastloop_${name} INTERFACE ${M_DEPS} fastloop_sanitizers)

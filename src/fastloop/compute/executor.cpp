@@ -7,7 +7,7 @@ namespace fastloop {
 void Executor::for_ranges(std::size_t n, std::size_t grain,
                           const std::function<void(std::size_t, std::size_t)>& body) const {
   if (n == 0) return;
-  if (kind_ == Kind::kReference || n <= grain) {
+  if (sequential() || n <= grain) {
     body(0, n);
     return;
   }

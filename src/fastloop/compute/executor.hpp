@@ -2,8 +2,11 @@
 
 #include <cstddef>
 #include <functional>
+#include <memory>
 
 namespace fastloop {
+
+class CudaSession;
 
 /// Where a data-parallel step runs. A value: cheap to copy, safe to share between threads.
 class Executor {
@@ -11,11 +14,22 @@ class Executor {
   enum class Kind : int {
     kReference,  ///< plain loop in the calling thread
     kCpu,        ///< oneTBB
+    kCuda,       ///< steps that have a device version run there, everything else as kCpu
   };
   static Executor reference() { return Executor(Kind::kReference); }
   static Executor cpu() { return Executor(Kind::kCpu); }
+  /// @param session  null: the same as cpu()
+  static Executor cuda(std::shared_ptr<CudaSession> session) {
+    Executor executor(session ? Kind::kCuda : Kind::kCpu);
+    executor.session_ = std::move(session);
+    return executor;
+  }
 
   Kind kind() const { return kind_; }
+  /// Runs one thing after the other in the calling thread.
+  bool sequential() const { return kind_ == Kind::kReference; }
+  /// Not null exactly for kCuda.
+  CudaSession* cuda_session() const { return session_.get(); }
 
   /// Calls body(begin, end) on disjoint ranges that cover [0, n). `grain` is the smallest range
   /// worth a task. Bodies must not depend on how the range is cut. Exceptions propagate to the
@@ -26,6 +40,7 @@ class Executor {
  private:
   explicit Executor(Kind kind) : kind_(kind) {}
   Kind kind_;
+  std::shared_ptr<CudaSession> session_;
 };
 
 }  // namespace fastloop

@@ -1,0 +1,76 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <vector>
+
+/// The CUDA device as the rest of the library sees it: no CUDA header, the same in builds without.
+namespace fastloop {
+
+struct CudaDeviceInfo {
+  int index = 0;
+  std::string name;
+  int compute_major = 0, compute_minor = 0;
+  int multiprocessors = 0;
+  std::size_t memory_bytes = 0, free_bytes = 0;
+};
+
+/// What there is. `reason` says why there is no device: not compiled in, no driver, none found.
+struct CudaInventory {
+  bool compiled_in = false;
+  std::string driver_version, runtime_version;  ///< "13.0"
+  std::vector<CudaDeviceInfo> devices;
+  std::string reason;
+};
+
+/// Asks the driver; never throws.
+CudaInventory cuda_inventory();
+
+/// What a session did since it was opened.
+struct CudaCounters {
+  std::uint64_t launches = 0;
+  std::uint64_t synchronizations = 0;  ///< times the host waited
+  std::uint64_t allocations = 0;       ///< of device or pinned memory
+  std::uint64_t bytes_to_device = 0, bytes_to_host = 0;
+};
+
+/// One stream on one device with memory of its own. Steps that run on it take the mutex for their
+/// duration, so that one session may be shared; different sessions run side by side.
+class CudaSession {
+ public:
+  struct Impl;  ///< cuda_support.cuh
+
+  /// Null where there is no device; `reason` then says why (may be null).
+  static std::shared_ptr<CudaSession> open(std::string* reason = nullptr);
+  /// The session of everyone who does not bring one, opened at the first call; null without a
+  /// device, which is logged once.
+  static std::shared_ptr<CudaSession> process_wide();
+  ~CudaSession();
+  CudaSession(const CudaSession&) = delete;
+  CudaSession& operator=(const CudaSession&) = delete;
+
+  /// False after an error that the device does not recover from: steps go to the CPU from then on.
+  bool usable() const;
+  /// To be called where a step failed: logs the first failure of each kind, and retires the session
+  /// if the device no longer answers.
+  void report_failure(const char* step, const std::string& what);
+  CudaCounters counters() const;
+  /// Tests: the n-th checked call from now on fails as out of memory (`lost` false) or as a lost
+  /// device; n = 1 is the next one.
+  void inject_failure(int n, bool lost);
+
+  std::mutex& mutex() { return mutex_; }
+  Impl& impl() { return *impl_; }
+
+ private:
+  CudaSession();
+  std::unique_ptr<Impl> impl_;
+  std::mutex mutex_, report_mutex_;
+  std::set<std::string> reported_;  // failures already logged
+};
+
+}  // namespace fastloop
