@@ -166,7 +166,8 @@ TEST(SymbolicPlan, CoversTheFillOfADenseElimination) {
     block::Graph graph;
     block::build_graph(n, ends, graph);
     block::SymbolicPlan plan;
-    block::build_symbolic_plan(graph, block::minimum_degree_order(graph), 6, plan);
+    block::Passes passes;
+    block::build_symbolic_plan(graph, block::minimum_degree_order(graph), 6, passes, plan);
     // Dense boolean elimination in the same order.
     std::vector<std::vector<char>> filled(n, std::vector<char>(n, 0));
     for (int v = 0; v < n; ++v)

@@ -2,19 +2,51 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
+
+#include "fastloop/optimization/block_passes.hpp"
 
 namespace fastloop::optimization::block {
 namespace {
 
-/// Parent of every column in the elimination tree (Liu), columns in elimination order.
-std::vector<int> elimination_tree(const Graph& graph, const std::vector<int>& order,
-                                  const std::vector<int>& position) {
+/// Neighbours by elimination index: of column j those before it in [begin[j], middle[j]), those
+/// after it in [middle[j], begin[j + 1]).
+struct OrderedGraph {
+  std::vector<int> begin, middle, neighbour;
+};
+
+OrderedGraph ordered_graph(const Graph& graph, const std::vector<int>& order,
+                           const std::vector<int>& position) {
   const int n = graph.size();
+  OrderedGraph result;
+  result.begin.resize(n + 1);
+  result.middle.resize(n);
+  result.neighbour.resize(graph.neighbour.size());
+  result.begin[0] = 0;
+  for (int j = 0; j < n; ++j) {
+    const int v = order[j], degree = graph.begin[v + 1] - graph.begin[v];
+    int low = result.begin[j], high = low + degree - 1;
+    result.begin[j + 1] = low + degree;
+    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k) {
+      // Written to both ends, kept at one: which one cannot be foretold, so no branch.
+      const int i = position[graph.neighbour[k]];
+      result.neighbour[low] = i;
+      if (low < high) result.neighbour[high] = i;
+      low += i < j;
+      high -= i > j;
+    }
+    result.middle[j] = low;
+  }
+  return result;
+}
+
+/// Parent of every column in the elimination tree (Liu).
+std::vector<int> elimination_tree(const OrderedGraph& graph) {
+  const int n = static_cast<int>(graph.middle.size());
   std::vector<int> parent(n, -1), ancestor(n, -1);
   for (int j = 0; j < n; ++j) {
-    const int v = order[j];
-    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k) {
-      for (int i = position[graph.neighbour[k]]; i != -1 && i < j;) {
+    for (int k = graph.begin[j]; k < graph.middle[j]; ++k) {
+      for (int i = graph.neighbour[k]; i != -1 && i < j;) {
         const int next = ancestor[i];
         ancestor[i] = j;
         if (next == -1) parent[i] = j;
@@ -25,23 +57,38 @@ std::vector<int> elimination_tree(const Graph& graph, const std::vector<int>& or
   return parent;
 }
 
-/// Entries below the diagonal of every column of the factor: row i has entries on the paths from
-/// its neighbours up to i.
-std::vector<int> column_counts(const Graph& graph, const std::vector<int>& order,
-                               const std::vector<int>& position, const std::vector<int>& parent) {
-  const int n = graph.size();
-  std::vector<int> count(n, 0), mark(n, -1);
-  for (int i = 0; i < n; ++i) {
+/// Adds the entries that rows [first, last) have in every column of the factor, below the diagonal:
+/// row i has entries on the paths from its neighbours up to i.
+void count_rows(const OrderedGraph& graph, const std::vector<int>& parent, int first, int last,
+                std::vector<int>& count) {
+  std::vector<int> mark(count.size(), -1);
+  for (int i = first; i < last; ++i) {
     mark[i] = i;
-    const int v = order[i];
-    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k) {
-      for (int j = position[graph.neighbour[k]]; j < i && mark[j] != i; j = parent[j]) {
+    for (int k = graph.begin[i]; k < graph.middle[i]; ++k) {
+      for (int j = graph.neighbour[k]; mark[j] != i; j = parent[j]) {
         mark[j] = i;
         ++count[j];
       }
     }
   }
-  return count;
+}
+
+/// Entries below the diagonal of every column of the factor. Ranges of rows are counted apart.
+std::vector<int> column_counts(const OrderedGraph& graph, const std::vector<int>& parent,
+                               Passes& passes) {
+  const int n = static_cast<int>(parent.size());
+  const int parts = passes.threads() > 1 && n > 500 ? 2 * std::min(passes.threads(), 4) : 1;
+  std::vector<std::vector<int>> part(static_cast<std::size_t>(parts));
+  passes.for_chunks(part.size(), [&](std::size_t p) {
+    part[p].assign(n, 0);
+    const auto border = [&](std::size_t k) {
+      return static_cast<int>(static_cast<std::size_t>(n) * k / part.size());
+    };
+    count_rows(graph, parent, border(p), border(p + 1), part[p]);
+  });
+  for (std::size_t p = 1; p < part.size(); ++p)
+    for (int j = 0; j < n; ++j) part[0][j] += part[p][j];
+  return std::move(part[0]);
 }
 
 /// Postorder in which the child with the longest column comes last: it is the one that may join its
@@ -139,37 +186,82 @@ void link_children(SymbolicPlan& plan) {
   }
 }
 
-/// Rows of every front: neighbours of its columns and rows of its children, beyond its own columns.
-void find_rows(const Graph& graph, const std::vector<int>& parent, SymbolicPlan& plan) {
-  const int n = graph.size();
-  for (Front& f : plan.fronts) {
-    const int up = parent[f.first + f.pivots - 1];
-    f.parent = up < 0 ? -1 : plan.front_of[up];
+/// Rows of front k: neighbours of its columns and rows of its children, beyond its own columns.
+void find_rows_of(std::size_t k, const OrderedGraph& graph, const std::vector<int>& label,
+                  const std::vector<int>& post, std::vector<int>& mark, SymbolicPlan& plan) {
+  const Front& f = plan.fronts[k];
+  const int end = f.first + f.pivots, stamp = static_cast<int>(k);
+  int* out = plan.rows.data() + f.rows;
+  const auto add = [&](int row) {
+    if (row < end || mark[row] == stamp) return;
+    mark[row] = stamp;
+    *out++ = row;
+  };
+  for (int j = f.first; j < end; ++j) {
+    const int column = post[j];
+    for (int e = graph.middle[column]; e < graph.begin[column + 1]; ++e)
+      add(label[graph.neighbour[e]]);
   }
-  link_children(plan);
-  std::vector<int> mark(n, -1);
-  plan.rows.clear();
-  for (std::size_t k = 0; k < plan.fronts.size(); ++k) {
-    Front& f = plan.fronts[k];
-    const int end = f.first + f.pivots, stamp = static_cast<int>(k);
-    f.rows = plan.rows.size();
-    const auto add = [&](int row) {
-      if (row < end || mark[row] == stamp) return;
-      mark[row] = stamp;
-      plan.rows.push_back(row);
-    };
-    for (int j = f.first; j < end; ++j) {
-      const int v = plan.order[j];
-      for (int e = graph.begin[v]; e < graph.begin[v + 1]; ++e)
-        add(plan.position[graph.neighbour[e]]);
+  for (int c = 0; c < f.num_children; ++c) {
+    const Front& child = plan.fronts[plan.children[f.children + c]];
+    for (int r = 0; r < child.below; ++r) add(plan.rows[child.rows + r]);
+  }
+  std::sort(plan.rows.data() + f.rows, out);
+}
+
+/// Ranges of fronts that are whole subtrees, none with much of all rows; fronts above are in none.
+std::vector<std::pair<int, int>> independent_ranges(const SymbolicPlan& plan) {
+  const int n = static_cast<int>(plan.fronts.size());
+  std::vector<int> first(n);  // of the subtree of every front
+  for (int k = 0; k < n; ++k) first[k] = k;
+  for (int k = 0; k < n; ++k)
+    if (const int p = plan.fronts[k].parent; p >= 0) first[p] = std::min(first[p], first[k]);
+  const int most = n / 12 + 1;
+  std::vector<std::pair<int, int>> ranges;
+  for (int k = n - 1; k >= 0;) {
+    if (k - first[k] >= most) {
+      --k;
+      continue;
     }
-    for (int c = 0; c < f.num_children; ++c) {
-      const Front& child = plan.fronts[plan.children[f.children + c]];
-      for (int r = 0; r < child.below; ++r) add(plan.rows[child.rows + r]);
+    // Neighbouring small subtrees share a range.
+    if (!ranges.empty() && ranges.back().first == k + 1 && ranges.back().second - first[k] < most) {
+      ranges.back().first = first[k];
+    } else {
+      ranges.emplace_back(first[k], k + 1);
     }
-    f.below = static_cast<int>(plan.rows.size() - f.rows);
-    std::sort(plan.rows.begin() + f.rows, plan.rows.end());
+    k = first[k] - 1;
+  }
+  return ranges;
+}
+
+/// Rows of all fronts. Their numbers are known from the column counts, so that subtrees can be
+/// treated apart.
+void find_rows(const OrderedGraph& graph, const std::vector<int>& label,
+               const std::vector<int>& post, Passes& passes, SymbolicPlan& plan) {
+  std::size_t total = 0;
+  for (Front& f : plan.fronts) {
+    f.rows = total;
+    total += static_cast<std::size_t>(f.below);
     plan.max_front_blocks = std::max(plan.max_front_blocks, f.pivots + f.below);
+  }
+  plan.rows.resize(total);
+  const std::size_t n = plan.fronts.size();
+  std::vector<std::pair<int, int>> ranges;
+  if (passes.threads() > 1) ranges = independent_ranges(plan);
+  std::vector<std::vector<int>> marks(static_cast<std::size_t>(passes.threads()));
+  for (std::vector<int>& mark : marks) mark.assign(post.size(), -1);
+  passes.for_chunks(ranges.size(), [&](std::size_t r) {
+    std::vector<int>& mark = marks[static_cast<std::size_t>(passes.slot())];
+    for (int k = ranges[r].first; k < ranges[r].second; ++k)
+      find_rows_of(static_cast<std::size_t>(k), graph, label, post, mark, plan);
+  });
+  std::size_t k = 0;
+  for (auto range = ranges.rbegin(); k < n;) {  // what lies between the ranges
+    if (range != ranges.rend() && static_cast<int>(k) == range->first) {
+      k = static_cast<std::size_t>(range++->second);
+    } else {
+      find_rows_of(k++, graph, label, post, marks[0], plan);
+    }
   }
 }
 
@@ -346,15 +438,16 @@ void assign_memory(SymbolicPlan& plan, int block_size) {
 
 }  // namespace
 
-void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size,
+void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size, Passes& passes,
                          SymbolicPlan& plan) {
   const int n = graph.size();
   plan.order = std::move(order);
   plan.position.resize(n);
   plan.max_front_blocks = 0;
   for (int k = 0; k < n; ++k) plan.position[plan.order[k]] = k;
-  std::vector<int> parent = elimination_tree(graph, plan.order, plan.position);
-  std::vector<int> count = column_counts(graph, plan.order, plan.position, parent);
+  const OrderedGraph ordered = ordered_graph(graph, plan.order, plan.position);
+  const std::vector<int> parent = elimination_tree(ordered);
+  const std::vector<int> count = column_counts(ordered, parent, passes);
 
   // Relabel everything in postorder.
   const std::vector<int> post = postorder(parent, count);
@@ -374,9 +467,17 @@ void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_s
   for (std::size_t k = 0; k < fronts.size(); ++k) {
     plan.fronts[k].first = fronts[k].begin;
     plan.fronts[k].pivots = fronts[k].end - fronts[k].begin;
+    plan.fronts[k].below = fronts[k].rows;
     for (int j = fronts[k].begin; j < fronts[k].end; ++j) plan.front_of[j] = static_cast<int>(k);
   }
-  find_rows(graph, new_parent, plan);
+  for (Front& f : plan.fronts) {
+    const int up = new_parent[f.first + f.pivots - 1];
+    f.parent = up < 0 ? -1 : plan.front_of[up];
+  }
+  link_children(plan);
+  // Neighbours eliminated later are ancestors in the tree, so that they come later in its postorder
+  // as well.
+  find_rows(ordered, label, post, passes, plan);
   map_to_parents(plan);
   build_tasks(plan, block_size);
   weigh_tasks(plan, block_size);

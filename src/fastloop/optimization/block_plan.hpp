@@ -9,6 +9,8 @@
 
 namespace fastloop::optimization::block {
 
+class Passes;
+
 /// Supernode of the elimination: `pivots` block columns that are eliminated together, and the rows
 /// below them.
 struct Front {
@@ -62,8 +64,8 @@ struct SymbolicPlan {
 std::vector<const KernelSet*> usable_kernels();
 
 /// Elimination of `graph` in the given order (which becomes a postorder of the elimination tree),
-/// for blocks of `block_size` unknowns.
-void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size,
+/// for blocks of `block_size` unknowns. The result does not depend on the threads of `passes`.
+void build_symbolic_plan(const Graph& graph, std::vector<int> order, int block_size, Passes& passes,
                          SymbolicPlan& plan);
 
 }  // namespace fastloop::optimization::block

@@ -121,7 +121,7 @@ void PoseGraphPlan::Impl::prepare(const PoseGraphProblem& problem, PoseGraphResu
     result.times.symbolic_ms += watch.elapsed_ms();
     const auto analyse = [&](std::vector<int> order) {
       Stopwatch symbolic_watch;
-      block::build_symbolic_plan(graph_, std::move(order), block_size_, symbolic_);
+      block::build_symbolic_plan(graph_, std::move(order), block_size_, passes_, symbolic_);
       result.times.symbolic_ms += symbolic_watch.elapsed_ms();
     };
     bool fresh = !extend;
@@ -158,12 +158,15 @@ void PoseGraphPlan::Impl::assign_slots(const PoseGraphProblem& problem) {
   };
   std::vector<int> front_of_edge(num_edges);
   std::vector<std::size_t> count(num_fronts + 1, 0);
-  for (std::size_t k = 0; k < num_edges; ++k) {
-    const int a = elimination_index(ends_[2 * k]), b = elimination_index(ends_[2 * k + 1]);
-    const int first = a < 0 ? b : b < 0 ? a : std::min(a, b);
-    front_of_edge[k] = first < 0 ? static_cast<int>(num_fronts) : symbolic_.front_of[first];
-    ++count[front_of_edge[k]];
-  }
+  passes_.for_chunks((num_edges + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(num_edges, (chunk + 1) * kChunk);
+    for (std::size_t k = chunk * kChunk; k < end; ++k) {
+      const int a = elimination_index(ends_[2 * k]), b = elimination_index(ends_[2 * k + 1]);
+      const int first = a < 0 ? b : b < 0 ? a : std::min(a, b);
+      front_of_edge[k] = first < 0 ? static_cast<int>(num_fronts) : symbolic_.front_of[first];
+    }
+  });
+  for (int front : front_of_edge) ++count[front];
   front_edges_begin_.resize(num_fronts + 1);
   front_edges_end_.resize(num_fronts + 1);
   std::size_t slot = 0;
