@@ -301,6 +301,7 @@ void add_memory(HtmlPage& page, const ReportInput& input) {
     for (const Json& m : samples)
       s.points.push_back({m.at("t_s").get<double>(), m.at(key).get<double>()});
     c.series = {s};
+    c.marks = marks_of(input);
     return draw_chart(c, 240);
   };
   page.begin_figures();

@@ -196,26 +196,29 @@ struct Range {
 /// Names with their colours above the plot, in as many lines as needed. Returns the height.
 double draw_legend(Canvas& canvas, const Chart& chart, double left, double width) {
   double x = left, y = 16;
-  const auto entry = [&](const std::string& name, const char* colour, bool dashed) {
+  const auto entry = [&](const std::string& name, const char* colour, bool dashed, bool dot) {
     const double needed = 34 + 6.6 * static_cast<double>(name.size());
     if (x > left && x + needed > left + width) {
       x = left;
       y += 18;
     }
-    canvas.line(x, y - 4, x + 22, y - 4, colour, dashed ? 1.5 : 3, dashed);
+    if (dot)
+      canvas.dot(x + 16, y - 4, colour, 3.2);
+    else
+      canvas.line(x, y - 4, x + 22, y - 4, colour, dashed ? 1.5 : 3, dashed);
     canvas.text(x + 28, y, name, "start", 12);
     x += needed + 8;
   };
   bool any = false;
   for (const Series& s : chart.series)
     if (!s.name.empty()) {
-      entry(s.name, s.colour, false);
+      entry(s.name, s.colour, false, s.width <= 0);
       any = true;
     }
   std::vector<std::string> named;
   for (const Mark& m : chart.marks)
     if (!m.name.empty() && std::find(named.begin(), named.end(), m.name) == named.end()) {
-      entry(m.name, m.colour, true);
+      entry(m.name, m.colour, true, false);
       named.push_back(m.name);
       any = true;
     }

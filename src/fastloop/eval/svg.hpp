@@ -60,7 +60,7 @@ struct Series {
   const char* colour = "#1f6fc4";
   std::vector<Point> points;
   std::vector<bool> breaks;
-  double width = 1.5;
+  double width = 1.5;  ///< 0: no line
   bool dots = false;  ///< marks each point
 };
 
