@@ -1,5 +1,7 @@
 #include "fastloop/sim/ray_tracer.hpp"
 
+#include "fastloop/sim/wide_vectors.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -186,7 +188,7 @@ TracedView::TracedView(const World& world, const Bvh& bvh, const SE3& T_world_ca
   }
 }
 
-void TracedView::trace(const RayPacket& rays, PacketHits& hits) const {
+FASTLOOP_WIDE void TracedView::trace(const RayPacket& rays, PacketHits& hits) const {
   WorldRays r;
   const float* m = rotation_;
   for (int l = 0; l < kLanes; ++l) {

@@ -1,5 +1,7 @@
 #include "fastloop/sim/texture.hpp"
 
+#include "fastloop/sim/wide_vectors.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -98,7 +100,7 @@ void draw_layer(const Layer& layer, const TexelBlock& p, const float* footprint_
 
 }  // namespace
 
-void shade_texels(const Surface& surface, const TexelBlock& p, float* brightness) {
+FASTLOOP_WIDE void shade_texels(const Surface& surface, const TexelBlock& p, float* brightness) {
   alignas(32) float footprint_m[kTexels], value[kTexels];
   float smallest = 1e9f;
   for (int l = 0; l < kTexels; ++l) {
