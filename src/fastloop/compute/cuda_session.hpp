@@ -6,6 +6,8 @@
 #include <mutex>
 #include <set>
 #include <string>
+#include <typeindex>
+#include <utility>
 #include <vector>
 
 /// The CUDA device as the rest of the library sees it: no CUDA header, the same in builds without.
@@ -63,6 +65,18 @@ class CudaSession {
   /// device; n = 1 is the next one.
   void inject_failure(int n, bool lost);
 
+  /// What a module keeps with the session, for example memory that it uses again: made by
+  /// T(CudaSession&) at the first call, destroyed with the session and before its stream.
+  template <class T>
+  std::shared_ptr<T> part() {
+    const std::lock_guard lock(parts_mutex_);
+    for (const auto& [type, part] : parts_)
+      if (type == typeid(T)) return std::static_pointer_cast<T>(part);
+    auto made = std::make_shared<T>(*this);
+    parts_.emplace_back(typeid(T), made);
+    return made;
+  }
+
   std::mutex& mutex() { return mutex_; }
   Impl& impl() { return *impl_; }
 
@@ -71,6 +85,8 @@ class CudaSession {
   std::unique_ptr<Impl> impl_;
   std::mutex mutex_, report_mutex_;
   std::set<std::string> reported_;  // failures already logged
+  std::recursive_mutex parts_mutex_;
+  std::vector<std::pair<std::type_index, std::shared_ptr<void>>> parts_;
 };
 
 }  // namespace fastloop

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "fastloop/geometry/camera.hpp"
+
 namespace fastloop::matching {
 namespace {
 

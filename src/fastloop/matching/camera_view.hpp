@@ -3,7 +3,10 @@
 #include <cmath>
 
 #include "fastloop/compute/host_device.hpp"
-#include "fastloop/geometry/camera.hpp"
+
+namespace fastloop {
+struct Camera;
+}
 
 namespace fastloop::matching {
 
