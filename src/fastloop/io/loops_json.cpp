@@ -25,6 +25,13 @@ Json candidate_json(const loop::CandidateReport& c) {
   j["gates"] = gates;
   j["verdict"] = loop::to_string(c.verdict);
   j["reason"] = c.reason;
+  if (c.measured) {
+    const SE3& T = c.measured->T_matched_current;
+    const Vector3d& t = T.translation;
+    const Eigen::Quaterniond& q = T.rotation;
+    j["matched_t"] = format_seconds(c.measured->matched_stamp_ns);
+    j["T_matched_current"] = {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()};
+  }
   return j;
 }
 

@@ -23,8 +23,8 @@ const char* to_string(Verdict verdict) {
   return "unknown";
 }
 
-LoopDetector::LoopDetector(const LoopOptions& options, const Executor& executor)
-    : options_(options), executor_(executor), verifier_(options, executor) {
+LoopDetector::LoopDetector(const LoopOptions& options, const StepExecutors& executors)
+    : options_(options), executors_(executors), verifier_(options, executors) {
   options_.validate();
 }
 
@@ -61,7 +61,7 @@ std::vector<place::RankedCandidate> LoopDetector::rank(
     sides.try_emplace(found[i].keyframe, make_side(found[i].keyframe));
   const Side self = make_side(keyframe);
   return place::rank_by_matches(
-      executor_, self.view, found, [&](KeyframeId id) { return sides.at(id).view; }, ranking);
+      executors_.host(), self.view, found, [&](KeyframeId id) { return sides.at(id).view; }, ranking);
 }
 
 std::vector<Verified> LoopDetector::candidates(const Snapshot& snapshot, KeyframeId keyframe,
@@ -138,7 +138,7 @@ bool LoopDetector::recheck(const Snapshot& snapshot, KeyframeId keyframe,
                             static_cast<double>(options_.confirmations), enough});
   if (enough) {
     waiting.reset();
-    if (is_possible(snapshot, v.match, v.report)) accept(v.match, v.report, result);
+    if (is_possible(snapshot, v.match, v.report)) accept(snapshot, v.match, v.report, result);
   } else {
     v.report.verdict = Verdict::kWaiting;
     v.report.reason = "waits for more keyframes that agree";
@@ -157,8 +157,12 @@ bool LoopDetector::is_possible(const Snapshot& snapshot, RegionMatch& match,
   return !fault;
 }
 
-void LoopDetector::accept(const RegionMatch& match, CandidateReport& report, Result& result) const {
+void LoopDetector::accept(const Snapshot& snapshot, const RegionMatch& match,
+                          CandidateReport& report, Result& result) const {
   report.verdict = Verdict::kAccepted;
+  const SE3 T_world_body = match.T_camera_world.inverse() * snapshot.rig().T_body_left.inverse();
+  report.measured = {snapshot.keyframe(match.matched).data->stamp_ns,
+                     snapshot.T_world_body(match.matched).inverse() * T_world_body};
   report.reason = match.merge ? "maps joined" : "loop closed";
   result.match = match;
 }
@@ -197,7 +201,7 @@ void LoopDetector::choose(const Snapshot& snapshot, KeyframeId keyframe,
   Verified* best = best_of(snapshot, verified, merge);
   if (!best) return;
   if (best->confirmations >= options_.confirmations) {
-    accept(best->match, best->report, result);
+    accept(snapshot, best->match, best->report, result);
     return;
   }
   best->report.verdict = Verdict::kWaiting;

@@ -19,7 +19,7 @@ struct WaitingRegion {
 /// keyframe in order; synchronous, one thread at a time.
 class LoopDetector {
  public:
-  LoopDetector(const LoopOptions& options, const Executor& executor);
+  LoopDetector(const LoopOptions& options, const StepExecutors& executors);
 
   struct Result {
     LoopReport report;
@@ -55,10 +55,11 @@ class LoopDetector {
   Verified* best_of(const map::Snapshot&, std::span<Verified> verified, bool merge) const;
   void choose(const map::Snapshot&, KeyframeId, std::span<Verified> verified, bool merge,
               Result& result);
-  void accept(const RegionMatch& match, CandidateReport& report, Result& result) const;
+  void accept(const map::Snapshot& snapshot, const RegionMatch& match, CandidateReport& report,
+              Result& result) const;
 
   LoopOptions options_;
-  Executor executor_;
+  StepExecutors executors_;
   Verifier verifier_;
   Waiting waiting_;
 };

@@ -1,11 +1,13 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "fastloop/core/ids.hpp"
 #include "fastloop/core/time.hpp"
+#include "fastloop/geometry/se3.hpp"
 
 namespace fastloop::loop {
 
@@ -19,6 +21,12 @@ struct GateReading {
   bool passed = false;
 };
 
+/// How an accepted candidate lies to the keyframe: what the loop states.
+struct MeasuredLoop {
+  Nanoseconds matched_stamp_ns = 0;  ///< of the candidate
+  SE3 T_matched_current;             ///< between the bodies of both keyframes, metres
+};
+
 /// What became of one candidate.
 struct CandidateReport {
   KeyframeId keyframe;
@@ -29,6 +37,7 @@ struct CandidateReport {
   std::vector<GateReading> gates;  ///< in order; ends with the first one not passed
   Verdict verdict = Verdict::kRejected;
   std::string reason;
+  std::optional<MeasuredLoop> measured;  ///< accepted candidates
 };
 
 /// Why a loop was taken or refused at one keyframe.
