@@ -41,4 +41,11 @@ void KeypointGrid::build(std::span<const float> x, std::span<const float> y, int
     indices[next[cell[i]]++] = static_cast<std::uint16_t>(i);
 }
 
+std::uint64_t ContentId::assign() const {
+  static std::atomic<std::uint64_t> last{0};
+  std::uint64_t none = 0;
+  if (id_ == 0) id_.compare_exchange_strong(none, ++last);  // a number nobody takes is lost
+  return id_;
+}
+
 }  // namespace fastloop

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <atomic>
 #include <cstdint>
 #include <cstring>
 #include <span>
@@ -64,6 +65,26 @@ struct KeypointGrid {
   }
 };
 
+/// Names content that will not change any more, so that copies of it, on a device say, are found
+/// again without comparing it. A copy of the object may be changed and therefore has no name.
+class ContentId {
+ public:
+  ContentId() = default;
+  ContentId(const ContentId&) noexcept {}
+  ContentId& operator=(const ContentId&) noexcept {
+    id_ = 0;
+    return *this;
+  }
+  /// 0 until somebody asked for a name.
+  std::uint64_t value() const { return id_; }
+  /// The name, given at the first call, unique in this process. To be called by those who know that
+  /// the content stays, for example because they share it as const.
+  std::uint64_t assign() const;
+
+ private:
+  mutable std::atomic<std::uint64_t> id_{0};
+};
+
 /// Features of one frame: structure of arrays, never changed after construction. Pixels of the
 /// rig's left camera (rectified, or raw fisheye). Right coordinates are NaN and depth is <= 0 where
 /// there is no stereo match. At most 65,535 keypoints.
@@ -76,6 +97,7 @@ struct FeatureSet {
   std::vector<float> depth_m;           ///< [n] z in the left camera frame
   KeypointGrid grid;
   int image_width = 0, image_height = 0;
+  ContentId id;
 
   std::size_t size() const { return x.size(); }
   bool has_depth(std::size_t i) const { return depth_m[i] > 0; }

@@ -11,6 +11,12 @@ void require(bool condition, const char* message) {
   if (!condition) throw InvalidArgument(std::string("descriptor matching: ") + message);
 }
 
+bool takes_part(const MatchSide& side, std::size_t keypoint) {
+  return side.keypoint_blocked.empty() || !side.keypoint_blocked[keypoint];
+}
+
+}  // namespace
+
 void check_side(const MatchSide& side) {
   require(side.features != nullptr, "features are missing");
   const std::size_t n = side.features->size();
@@ -24,12 +30,6 @@ void check_side(const MatchSide& side) {
           "groups: start must span the indices");
   for (const std::uint16_t i : g.indices) require(i < n, "groups: keypoint index out of range");
 }
-
-bool takes_part(const MatchSide& side, std::size_t keypoint) {
-  return side.keypoint_blocked.empty() || !side.keypoint_blocked[keypoint];
-}
-
-}  // namespace
 
 CandidateLists::CandidateLists(const MatchSide& first, const MatchSide& second) {
   check_side(first);

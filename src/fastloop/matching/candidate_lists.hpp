@@ -8,6 +8,9 @@
 
 namespace fastloop::matching {
 
+/// @throws InvalidArgument on missing features, unequal extents or indices out of range
+void check_side(const MatchSide& side);
+
 /// For every keypoint of one image the keypoints of another it is compared with: those of its
 /// vocabulary group, or all. Blocked keypoints of either side are left out.
 class CandidateLists {

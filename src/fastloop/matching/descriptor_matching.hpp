@@ -40,6 +40,13 @@ std::vector<std::int32_t> match_descriptors(const Executor& executor, const Matc
                                             const MatchSide& second,
                                             const DescriptorMatchOptions& options = {});
 
+/// The same for one image and several others at once: one launch on a device.
+/// @return [seconds]
+std::vector<std::vector<std::int32_t>> match_descriptors(const Executor& executor,
+                                                         const MatchSide& first,
+                                                         std::span<const MatchSide> seconds,
+                                                         const DescriptorMatchOptions& options = {});
+
 /// Viewing rays of the keypoints of an image, in the camera frame.
 struct Bearings {
   std::vector<Eigen::Vector3f> ray;                       ///< unit

@@ -5,6 +5,7 @@
 #include <map>
 
 #include "fastloop/core/error.hpp"
+#include "fastloop/matching/descriptor_pairs_for_tests.hpp"
 #include "fastloop/matching/rotation_histogram.hpp"
 #include "fastloop/matching/scene_for_tests.hpp"
 
@@ -13,51 +14,8 @@ namespace {
 
 using testing::add_keypoint;
 using testing::finish;
-
-struct Side {
-  FeatureSet features;
-  std::vector<std::uint32_t> node;  ///< [keypoints] 0 = in no group
-  FeatureGroups groups;
-  std::vector<std::uint8_t> blocked;
-
-  void group() {
-    std::map<std::uint32_t, std::vector<std::uint16_t>> by_node;
-    for (std::size_t i = 0; i < node.size(); ++i)
-      if (node[i]) by_node[node[i]].push_back(static_cast<std::uint16_t>(i));
-    groups = {};
-    groups.start.push_back(0);
-    for (const auto& [id, members] : by_node) {
-      groups.node.push_back(id);
-      groups.indices.insert(groups.indices.end(), members.begin(), members.end());
-      groups.start.push_back(static_cast<std::uint32_t>(groups.indices.size()));
-    }
-  }
-  MatchSide view(bool with_groups) const {
-    return {&features, with_groups ? &groups : nullptr, blocked};
-  }
-};
-
-/// Two images of about 50 appearances; keypoints of one appearance are mostly in one group.
-std::pair<Side, Side> random_pair(unsigned seed) {
-  std::mt19937 rng(seed);
-  std::vector<Descriptor> looks;
-  for (int i = 0; i < 50; ++i) looks.push_back(testing::random_descriptor(rng));
-  std::pair<Side, Side> pair;
-  for (Side* s : {&pair.first, &pair.second}) {
-    const int n = seed % 10 == 0 ? static_cast<int>(rng() % 3) : static_cast<int>(rng() % 300);
-    for (int i = 0; i < n; ++i) {
-      const unsigned look = rng() % 50;
-      add_keypoint(s->features, rng() % 700, rng() % 400, static_cast<int>(rng() % 8),
-                   testing::with_flipped_bits(looks[look], static_cast<int>(rng() % 25), rng),
-                   static_cast<float>(0.02 * look));
-      s->node.push_back(rng() % 8 == 0 ? rng() % 5 : look / 10);
-      if (seed % 3 == 0) s->blocked.push_back(rng() % 4 == 0);
-    }
-    finish(s->features, testing::pinhole_rig().left);
-    s->group();
-  }
-  return pair;
-}
+using testing::random_pair;
+using testing::Side;
 
 std::vector<std::int32_t> brute_force(const Side& a, const Side& b, bool grouped,
                                       const DescriptorMatchOptions& options) {
@@ -93,7 +51,7 @@ TEST(DescriptorMatching, EqualsBruteForceWithBothExecutors) {
     options.check_rotation = false;
     for (const bool grouped : {false, true}) {
       const auto expected = brute_force(a, b, grouped, options);
-      for (const Executor executor : {Executor::reference(), Executor::cpu()})
+      for (const Executor& executor : {Executor::reference(), Executor::cpu()})
         ASSERT_EQ(match_descriptors(executor, a.view(grouped), b.view(grouped), options), expected)
             << seed;
       for (const int k : expected) (grouped ? grouped_matches : matches) += k != kNoMatch;

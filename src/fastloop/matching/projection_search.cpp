@@ -8,6 +8,7 @@
 #include "fastloop/matching/claims.hpp"
 #include "fastloop/matching/ordered_scan.hpp"
 #include "fastloop/matching/projection_math.hpp"
+#include "fastloop/matching/projection_search_cuda.hpp"
 #include "fastloop/matching/sight_batch.hpp"
 
 namespace fastloop::matching {
@@ -19,12 +20,11 @@ void require(bool condition, const char* message) {
   if (!condition) throw InvalidArgument(std::string("search_by_projection: ") + message);
 }
 
-void check_arguments(const PyramidScales& scales, std::span<const SearchTarget> targets,
-                     const LandmarkView& landmarks, const ProjectionSearchOptions& options,
-                     std::span<ProjectionMatches> results) {
+void check_arguments(const PyramidScales& scales, const ProjectionJob& job,
+                     const ProjectionSearchOptions& options) {
+  const LandmarkView& landmarks = job.landmarks;
   const std::size_t n = landmarks.size();
   const bool needs_normals = options.min_view_cos > -1 || options.wide_factor != 1;
-  require(results.size() == targets.size(), "one result per target");
   require(landmarks.min_distance_m.size() == n && landmarks.max_distance_m.size() == n &&
               landmarks.descriptor.size() == n,
           "landmark arrays differ in length");
@@ -33,7 +33,7 @@ void check_arguments(const PyramidScales& scales, std::span<const SearchTarget> 
   require(scales.levels > 0 && scales.scale.size() == static_cast<std::size_t>(scales.levels) &&
               scales.sigma2.size() == scales.scale.size(),
           "incomplete pyramid scales");
-  for (const SearchTarget& target : targets) {
+  for (const SearchTarget& target : job.targets) {
     require(target.features != nullptr, "a target has no features");
     require(target.landmark_skipped.empty() || target.landmark_skipped.size() == n,
             "landmark_skipped must have one entry per landmark");
@@ -137,19 +137,104 @@ struct VectorSearch {
   }
 };
 
-/// Every (target, landmark) pair writes its own element of `keys` and `in_view`: no order matters.
+/// Best keypoint of every landmark, before claims are resolved. Every (target, landmark) pair writes
+/// its own element of `keys` and `in_view`: no order matters.
 template <class Search>
-void search_all(const Executor& executor, const Search& search, std::size_t num_landmarks,
-                std::vector<std::vector<MatchKey>>& keys, std::span<ProjectionMatches> results) {
-  const std::size_t n = num_landmarks;
-  executor.for_ranges(results.size() * n, kGrain, [&](std::size_t begin, std::size_t end) {
+void search_all(const Executor& executor, const Search& search, std::size_t n,
+                std::span<std::vector<MatchKey>> keys,
+                std::span<std::vector<std::uint8_t>> in_view) {
+  executor.for_ranges(keys.size() * n, kGrain, [&](std::size_t begin, std::size_t end) {
     while (begin < end) {
       const std::size_t t = begin / n, first = begin - t * n;
       const std::size_t last = std::min(n, first + (end - begin));
-      search(t, first, last, keys[t].data(), results[t].in_view.data());
+      search(t, first, last, keys[t].data(), in_view[t].data());
       begin += last - first;
     }
   });
+}
+
+void search_on_host(const Executor& executor, const ProjectionRule& rule,
+                    const LandmarkArrays& arrays, std::size_t n, std::span<const TargetView> views,
+                    std::span<std::vector<MatchKey>> keys,
+                    std::span<std::vector<std::uint8_t>> in_view) {
+  for (std::size_t t = 0; t < views.size(); ++t) {
+    keys[t].resize(n);
+    in_view[t].resize(n);
+  }
+  if (executor.sequential()) {
+    search_all(executor, ScalarSearch<PortableDistances>{{rule, arrays, {}}, views}, n, keys,
+               in_view);
+  } else if (can_sight_batches() && OrderedKeypoints::supported()) {
+    VectorSearch search{rule, arrays, views, {}};
+    search.keypoints.resize(views.size());
+    executor.for_ranges(views.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin)
+        search.keypoints[begin] = OrderedKeypoints(views[begin].features);
+    });
+    search_all(executor, search, n, keys, in_view);
+  } else {
+    search_all(executor, ScalarSearch<CpuDistances>{{rule, arrays, {}}, views}, n, keys, in_view);
+  }
+}
+
+std::vector<TargetView> make_target_views(std::span<const SearchTarget> targets) {
+  std::vector<TargetView> views;
+  views.reserve(targets.size());
+  for (const SearchTarget& target : targets) views.push_back(make_target_view(target));
+  return views;
+}
+
+/// False where the host must do it.
+bool search_on_device(const Executor& executor, const ProjectionRule& rule,
+                      std::span<const ProjectionJob> jobs, bool want_in_view,
+                      ProjectionFound& found) {
+  if (!executor.cuda_session()) return false;
+  std::vector<LandmarksToSearch> landmarks;
+  std::vector<TargetToSearch> targets;
+  for (std::size_t j = 0; j < jobs.size(); ++j) {
+    const LandmarkView& l = jobs[j].landmarks;
+    landmarks.push_back({make_arrays(l), l.size(), l.resident});
+    for (const SearchTarget& target : jobs[j].targets)
+      targets.push_back({make_target_view(target), target.features, j});
+  }
+  return search_on_device(*executor.cuda_session(), {rule, landmarks, targets, want_in_view}, found);
+}
+
+/// Winners of the keypoints of one target as a result for each landmark.
+void expand(std::span<const std::uint64_t> winner, std::span<const std::uint32_t> in_view,
+            std::size_t n, ProjectionMatches& result) {
+  result.keypoint.assign(n, kNoMatch);
+  result.distance.assign(n, 0);
+  result.in_view.resize(n);
+  for (std::size_t i = 0; i < n; ++i) result.in_view[i] = in_view[i / 32] >> i % 32 & 1u;
+  result.count = 0;
+  for (std::size_t k = 0; k < winner.size(); ++k) {
+    if (winner[k] == ProjectionFound::kNobody) continue;
+    const std::size_t landmark = winner[k] & 0xffffffffu;
+    result.keypoint[landmark] = static_cast<std::int32_t>(k);
+    result.distance[landmark] = static_cast<std::uint16_t>(winner[k] >> 32);
+    ++result.count;
+  }
+}
+
+std::vector<KeypointMatch> matches_of(std::span<const std::uint64_t> winner) {
+  std::vector<KeypointMatch> matches;
+  for (std::size_t k = 0; k < winner.size(); ++k)
+    if (winner[k] != ProjectionFound::kNobody)
+      matches.push_back({static_cast<std::uint32_t>(winner[k]), static_cast<std::uint16_t>(k),
+                         static_cast<std::uint16_t>(winner[k] >> 32)});
+  return matches;
+}
+
+/// The winners as the device reports them.
+std::vector<std::uint64_t> winners_of(std::span<const MatchKey> keys, std::size_t num_keypoints) {
+  std::vector<std::uint64_t> winner(num_keypoints, ProjectionFound::kNobody);
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    if (keys[i] == kNoKey) continue;
+    std::uint64_t& w = winner[static_cast<std::size_t>(key_index(keys[i]))];
+    w = std::min(w, static_cast<std::uint64_t>(key_distance(keys[i])) << 32 | i);
+  }
+  return winner;
 }
 
 }  // namespace
@@ -158,39 +243,82 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
                           const PyramidScales& scales, std::span<const SearchTarget> targets,
                           const LandmarkView& landmarks, const ProjectionSearchOptions& options,
                           std::span<ProjectionMatches> results) {
-  check_arguments(scales, targets, landmarks, options, results);
+  const ProjectionJob job{landmarks, targets};
+  check_arguments(scales, job, options);
+  require(results.size() == targets.size(), "one result per target");
   const std::size_t n = landmarks.size();
-  std::vector<TargetView> views;
-  views.reserve(targets.size());
-  for (const SearchTarget& target : targets) views.push_back(make_target_view(target));
-  std::vector<std::vector<MatchKey>> keys(targets.size());
-  for (std::size_t t = 0; t < targets.size(); ++t) {
-    keys[t].resize(n);
-    results[t].in_view.resize(n);
-  }
   const ProjectionRule rule = make_rule(rig, scales, options);
-  const LandmarkArrays arrays = make_arrays(landmarks);
-  if (executor.kind() == Executor::Kind::kReference) {
-    search_all(executor, ScalarSearch<PortableDistances>{{rule, arrays, {}}, views}, n, keys, results);
-  } else if (can_sight_batches() && OrderedKeypoints::supported()) {
-    VectorSearch search{rule, arrays, views, {}};
-    search.keypoints.resize(views.size());
-    executor.for_ranges(views.size(), 1, [&](std::size_t begin, std::size_t end) {
-      for (; begin < end; ++begin)
-        search.keypoints[begin] = OrderedKeypoints(views[begin].features);
+  if (ProjectionFound found; search_on_device(executor, rule, {&job, 1}, true, found)) {
+    executor.for_ranges(targets.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t t = begin; t < end; ++t)
+        expand(found.winners(t), found.words(t), n, results[t]);
     });
-    search_all(executor, search, n, keys, results);
-  } else {
-    search_all(executor, ScalarSearch<CpuDistances>{{rule, arrays, {}}, views}, n, keys, results);
+    return;
   }
+  std::vector<std::vector<MatchKey>> keys(targets.size());
+  std::vector<std::vector<std::uint8_t>> in_view(targets.size());
+  for (std::size_t t = 0; t < targets.size(); ++t) in_view[t].swap(results[t].in_view);
+  search_on_host(executor, rule, make_arrays(landmarks), n, make_target_views(targets), keys,
+                 in_view);
   executor.for_ranges(targets.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (std::size_t t = begin; t < end; ++t) {
       ProjectionMatches& r = results[t];
+      r.in_view.swap(in_view[t]);
       r.keypoint.resize(n);
       r.distance.resize(n);
       r.count = resolve_claims(keys[t], targets[t].features->size(), r.keypoint, r.distance);
     }
   });
+}
+
+MatchLists find_by_projection(const Executor& executor, const StereoRig& rig,
+                              const PyramidScales& scales, std::span<const ProjectionJob> jobs,
+                              const ProjectionSearchOptions& options) {
+  std::size_t num_targets = 0;
+  for (const ProjectionJob& job : jobs) {
+    check_arguments(scales, job, options);
+    num_targets += job.targets.size();
+  }
+  const ProjectionRule rule = make_rule(rig, scales, options);
+  std::vector<std::vector<KeypointMatch>> matches(num_targets);
+  if (ProjectionFound found; search_on_device(executor, rule, jobs, false, found)) {
+    for (std::size_t t = 0; t < num_targets; ++t) matches[t] = matches_of(found.winners(t));
+  } else {
+    std::vector<std::vector<MatchKey>> keys(num_targets);
+    std::vector<std::vector<std::uint8_t>> in_view(num_targets);
+    std::size_t first = 0;
+    for (const ProjectionJob& job : jobs) {
+      const std::size_t count = job.targets.size();
+      search_on_host(executor, rule, make_arrays(job.landmarks), job.landmarks.size(),
+                     make_target_views(job.targets), std::span(keys).subspan(first, count),
+                     std::span(in_view).subspan(first, count));
+      executor.for_ranges(count, 1, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t t = begin; t < end; ++t)
+          matches[first + t] =
+              matches_of(winners_of(keys[first + t], job.targets[t].features->size()));
+      });
+      first += count;
+    }
+  }
+  MatchLists lists;
+  for (const auto& m : matches) {
+    lists.matches.insert(lists.matches.end(), m.begin(), m.end());
+    lists.start.push_back(lists.matches.size());
+  }
+  return lists;
+}
+
+void make_resident(const Executor& executor, const std::shared_ptr<const FeatureSet>& features) {
+  if (CudaSession* session = executor.cuda_session(); session && session->usable())
+    if (const auto store = resident_store(*session)) store->prefetch(features);
+}
+
+std::shared_ptr<const ResidentLandmarks> make_resident(const Executor& executor,
+                                                       const LandmarkView& landmarks) {
+  CudaSession* session = executor.cuda_session();
+  if (!session || !session->usable()) return nullptr;
+  const auto store = resident_store(*session);
+  return store ? store->upload(make_arrays(landmarks), landmarks.size()) : nullptr;
 }
 
 }  // namespace fastloop::matching

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -14,6 +15,8 @@ namespace fastloop::matching {
 
 inline constexpr std::int32_t kNoMatch = -1;
 
+class ResidentLandmarks;
+
 /// Landmarks as flat arrays; every span has num_landmarks entries.
 struct LandmarkView {
   std::span<const Eigen::Vector3f> p_world;  ///< metres
@@ -22,6 +25,8 @@ struct LandmarkView {
   std::span<const float> min_distance_m,
       max_distance_m;  ///< distances at which the scale pyramid still sees it
   std::span<const Descriptor> descriptor;
+  /// The same landmarks on a device (make_resident), for a search there; may be null.
+  const ResidentLandmarks* resident = nullptr;
   std::size_t size() const { return p_world.size(); }
 };
 
@@ -84,6 +89,44 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
                           const PyramidScales& scales, std::span<const SearchTarget> targets,
                           const LandmarkView& landmarks, const ProjectionSearchOptions& options,
                           std::span<ProjectionMatches> results);
+
+/// A landmark and the keypoint that it won.
+struct KeypointMatch {
+  std::uint32_t landmark;
+  std::uint16_t keypoint;
+  std::uint16_t distance;  ///< Hamming
+  bool operator==(const KeypointMatch&) const = default;
+};
+
+/// The matches of several targets and nothing else: as long as there are matches, not landmarks.
+struct MatchLists {
+  std::vector<KeypointMatch> matches;  ///< of a target: ascending keypoint
+  std::vector<std::size_t> start{0};   ///< [targets + 1]
+  std::size_t size() const { return start.size() - 1; }
+  std::span<const KeypointMatch> operator[](std::size_t target) const {
+    return std::span(matches).subspan(start[target], start[target + 1] - start[target]);
+  }
+};
+
+/// Some landmarks and where to search them.
+struct ProjectionJob {
+  LandmarkView landmarks;
+  std::span<const SearchTarget> targets;
+};
+
+/// search_by_projection for several sets of landmarks at once, by one rule: one launch on a device.
+/// The same matches, without a word on the landmarks that have none.
+/// @return the targets of all jobs, one after another
+MatchLists find_by_projection(const Executor& executor, const StereoRig& rig,
+                              const PyramidScales& scales, std::span<const ProjectionJob> jobs,
+                              const ProjectionSearchOptions& options);
+
+/// Starts copying to the executor's device what searches will read: features of keyframes, which
+/// stay there (ResidentStore), and landmarks, which stay as long as the returned object, for
+/// LandmarkView::resident. Neither may change from now on. Without a device nothing happens.
+void make_resident(const Executor& executor, const std::shared_ptr<const FeatureSet>& features);
+std::shared_ptr<const ResidentLandmarks> make_resident(const Executor& executor,
+                                                       const LandmarkView& landmarks);
 
 /// A keypoint search around given pixels: the search in the last frame. Each query carries its own
 /// pixel, radius and octave range; resolution as above.

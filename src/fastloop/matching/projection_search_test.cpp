@@ -14,6 +14,7 @@ namespace {
 using testing::expect_equal;
 using testing::finish;
 using testing::random_scene;
+using testing::rule;
 using testing::run;
 using testing::Scene;
 using testing::SceneSize;
@@ -143,21 +144,6 @@ class Oracle {
   double tolerance_ = 1;
 };
 
-/// The rules in use: loop detection, fusion, tracking of the local map, duplicates among
-/// neighbours.
-ProjectionSearchOptions rule(int which) {
-  ProjectionSearchOptions o;
-  if (which == 1) o.radius_px = 8;
-  if (which == 2) {
-    o.radius_px = 4, o.max_distance = 100, o.best_to_second = 0.8f;
-    o.min_distance_factor = 0.8f, o.octaves_above = 1;
-    o.wide_view_cos = 0.9f, o.wide_factor = 1.6f, o.check_right = true;
-  }
-  if (which == 3)
-    o.chi2_gate_mono = 5.99f, o.chi2_gate_stereo = 7.8f, o.min_view_cos = -1, o.octaves_above = 1;
-  return o;
-}
-
 TEST(ProjectionSearch, EqualsBruteForceWithBothExecutorsAndBothCameras) {
   int matches = 0, situations = 0, left_out = 0, landmarks = 0;
   for (unsigned seed = 0; seed < 240; ++seed) {
@@ -219,7 +205,7 @@ TEST(ProjectionSearch, EmptyInputs) {
   SceneSize none;
   none.landmarks = 0;
   Scene scene = random_scene(1, false, none);
-  for (const Executor executor : {Executor::reference(), Executor::cpu()}) {
+  for (const Executor& executor : {Executor::reference(), Executor::cpu()}) {
     for (const auto& r : run(executor, scene, {})) EXPECT_EQ(r.count, 0);
     search_by_projection(executor, scene.rig, scene.scales, {}, scene.landmarks.view(), {}, {});
     Scene blind = random_scene(1, false, {});

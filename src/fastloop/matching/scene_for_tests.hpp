@@ -184,6 +184,21 @@ inline Scene random_scene(unsigned seed, bool fisheye, const SceneSize& size) {
   return scene;
 }
 
+/// The rules in use: loop detection, fusion, tracking of the local map, duplicates among
+/// neighbours.
+inline ProjectionSearchOptions rule(int which) {
+  ProjectionSearchOptions o;
+  if (which == 1) o.radius_px = 8;
+  if (which == 2) {
+    o.radius_px = 4, o.max_distance = 100, o.best_to_second = 0.8f;
+    o.min_distance_factor = 0.8f, o.octaves_above = 1;
+    o.wide_view_cos = 0.9f, o.wide_factor = 1.6f, o.check_right = true;
+  }
+  if (which == 3)
+    o.chi2_gate_mono = 5.99f, o.chi2_gate_stereo = 7.8f, o.min_view_cos = -1, o.octaves_above = 1;
+  return o;
+}
+
 inline std::vector<ProjectionMatches> run(const Executor& executor, const Scene& scene,
                                           const ProjectionSearchOptions& options) {
   const auto targets = scene.targets();

@@ -115,7 +115,7 @@ TEST(WindowSearch, EqualsBruteForceWithBothExecutors) {
     options.check_rotation = seed % 2 == 0;
     options.best_to_second = seed % 5 == 0 ? 0.9f : 1;
     const auto expected = brute_force(s.features, s.queries, options, s.blocked);
-    for (const Executor executor : {Executor::reference(), Executor::cpu()})
+    for (const Executor& executor : {Executor::reference(), Executor::cpu()})
       ASSERT_EQ(search_windows(executor, s.features, s.queries, options, s.blocked), expected)
           << seed;
     for (const int k : expected) matched += k != kNoMatch;

@@ -1,0 +1,9 @@
+#include "fastloop/matching/descriptor_matching_cuda.hpp"
+
+namespace fastloop::matching {
+
+bool match_on_device(CudaSession&, const DescriptorCall&, std::vector<std::uint32_t>&) {
+  return false;
+}
+
+}  // namespace fastloop::matching
