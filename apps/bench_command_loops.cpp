@@ -218,7 +218,7 @@ void add_bench_loops(CLI::App& bench_app, int& exit_code) {
   command
       ->add_option(
           "--backends", a->backends,
-          "Back ends: reference, cpu, auto; the first is what the others are compared with")
+          "Back ends: reference, cpu, cuda, auto; the first is what the others are compared with")
       ->delimiter(',')
       ->capture_default_str();
   command->add_option("--sequences", a->sequences,

@@ -89,7 +89,7 @@ void add_bench_replay(CLI::App& bench_app, int& exit_code) {
   command
       ->add_option(
           "--backends", a->backends,
-          "Back ends: reference, cpu, auto; the first is what the others are compared with")
+          "Back ends: reference, cpu, cuda, auto; the first is what the others are compared with")
       ->delimiter(',')
       ->capture_default_str();
   command->footer(

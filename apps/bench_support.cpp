@@ -9,6 +9,7 @@
 #include <fstream>
 #include <iterator>
 
+#include "fastloop/compute/cuda_session.hpp"
 #include "fastloop/core/error.hpp"
 #include "fastloop/io/text.hpp"
 #include "machine.hpp"
@@ -20,13 +21,12 @@ namespace fastloop::apps {
 std::vector<loop::Backend> parse_backends(const std::vector<std::string>& names) {
   std::vector<loop::Backend> backends;
   for (const std::string& name : names) {
-    loop::Backend backend{};
-    try {
-      backend = loop::resolve(loop::parse_backend(name));
-    } catch (const InvalidArgument&) {
-      if (name == "cuda") throw InvalidArgument("the back end cuda is not built into this program");
-      throw;
-    }
+    const loop::Backend asked = loop::parse_backend(name);
+    const loop::Backend backend = loop::resolve(asked);
+    if (asked == loop::Backend::kCuda && backend != asked)  // its figures would be those of the CPU
+      throw InvalidArgument(cuda_inventory().compiled_in
+                                ? "the back end cuda needs a device: " + cuda_inventory().reason
+                                : "the back end cuda is not built into this program");
     if (std::find(backends.begin(), backends.end(), backend) == backends.end())
       backends.push_back(backend);
   }

@@ -24,10 +24,13 @@ struct Arguments {
 std::vector<loop::Backend> backends_of(const Arguments& a) {
   std::vector<loop::Backend> backends;
   for (const std::string& name : a.backends) {
-    if (name == "all")
-      backends = {loop::Backend::kReference, loop::Backend::kCpu};
-    else
+    if (name != "all") {
       backends.push_back(loop::parse_backend(name));
+      continue;
+    }
+    backends = {loop::Backend::kReference, loop::Backend::kCpu};
+    if (loop::resolve(loop::Backend::kAuto) == loop::Backend::kAuto)
+      backends.insert(backends.end(), {loop::Backend::kCuda, loop::Backend::kAuto});
   }
   return backends;
 }
@@ -221,9 +224,9 @@ void add_replay_command(CLI::App& app, int& exit_code) {
   command->add_option("FILE", a->files, "Map files with a pending loop")->required();
   command
       ->add_option("--backend", a->backends,
-                   "auto, reference, cpu; several, or all, are compared with each other")
-      ->check(CLI::IsMember({"auto", "reference", "cpu", "all"}))
-      ->expected(1, 4)
+                   "auto, reference, cpu, cuda; several, or all, are compared with each other")
+      ->check(CLI::IsMember({"auto", "reference", "cpu", "cuda", "all"}))
+      ->expected(1, 5)
       ->delimiter(',')
       ->capture_default_str();
   command->add_option("--repeat", a->repeat, "Measured repetitions; times are their medians")

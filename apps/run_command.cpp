@@ -254,7 +254,7 @@ void add_run_command(CLI::App& app, int& exit_code) {
                     "Maps begun after tracking was lost are not joined to earlier ones");
   command
       ->add_option("--backend", args->backend, "How loops are closed; auto: the fastest there is")
-      ->check(CLI::IsMember({"auto", "reference", "cpu"}))
+      ->check(CLI::IsMember({"auto", "reference", "cpu", "cuda"}))
       ->capture_default_str();
   command->add_option("--save-map", args->save_map, "File that receives the map at the end");
   command->add_option("--load-map", args->load_map,

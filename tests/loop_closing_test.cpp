@@ -108,9 +108,9 @@ TEST(MapMerge, CanBeSwitchedOff) {
   EXPECT_TRUE(a.outcome.report.candidates.empty());
 }
 
-/// Decisions and correction of both back ends on one world.
-void expect_parity(const sim::MapWorldOptions& o) {
-  Attempt r(o, Backend::kReference), c(o, Backend::kCpu);
+/// Decisions and correction of the reference and another back end on one world.
+void expect_parity(const sim::MapWorldOptions& o, Backend backend) {
+  Attempt r(o, Backend::kReference), c(o, backend);
   SCOPED_TRACE(describe(r.outcome.report) + describe(c.outcome.report));
   const LoopReport &a = r.outcome.report, &b = c.outcome.report;
   EXPECT_EQ(a.verdict, b.verdict);
@@ -163,7 +163,7 @@ TEST(BackendParity, SameDecisionsAndCorrections) {
     }
     o.noise_px = seed == 7 ? 3 : 0.5;
     SCOPED_TRACE("seed " + std::to_string(seed));
-    expect_parity(o);
+    for (const Backend backend : testing::parallel_backends()) expect_parity(o, backend);
   }
 }
 

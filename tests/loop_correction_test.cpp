@@ -200,7 +200,7 @@ TEST(Correction, OfAWrongMatchIsRefused) {
   map::Map map(origin.world.map);
   const Fingerprint before(map);
   const auto outcome = map::apply_correction(
-      map, compute_correction(*snapshot, match, {}, Backend::kCpu, memory, clock));
+      map, compute_correction(*snapshot, match, {}, executors_of(Backend::kCpu), memory, clock));
   EXPECT_FALSE(outcome.applied);
   EXPECT_FALSE(outcome.reason.empty());
   EXPECT_TRUE(before == Fingerprint(map));

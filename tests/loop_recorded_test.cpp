@@ -7,7 +7,7 @@
 #include "fastloop/system/loop_closing.hpp"
 #include "simulated_loop.hpp"
 
-/// Loops recorded beside a mapper and replayed with both back ends: decisions equal to the last
+/// Loops recorded beside a mapper and replayed with all back ends: decisions equal to the last
 /// integer, poses to 1e-6, and to what the run itself did.
 namespace fastloop::system {
 namespace {
@@ -18,6 +18,7 @@ using loop::LoopReplay;
 using loop::LoopRequest;
 using loop::ReplayRun;
 using loop::testing::describe;
+using loop::testing::parallel_backends;
 using loop::testing::small_world;
 
 constexpr double kPoseTolerance = 1e-6;
@@ -50,9 +51,17 @@ struct RecordedRun {
   ~RecordedRun() { fs::remove_all(folder); }
 };
 
+void expect_alike(const ReplayRun& reference, const ReplayRun& other) {
+  EXPECT_EQ(decision_digest(reference.outcome), decision_digest(other.outcome));
+  EXPECT_LT(largest_pose_difference(reference.outcome, other.outcome), kPoseTolerance);
+  EXPECT_EQ(reference.applied.applied, other.applied.applied);
+  EXPECT_EQ(reference.applied.merged, other.applied.merged);
+  EXPECT_EQ(reference.applied.observed, other.applied.observed);
+}
+
 class RecordedLoop : public ::testing::TestWithParam<int> {};
 
-TEST_P(RecordedLoop, IsReplayedAlikeByBothBackEnds) {
+TEST_P(RecordedLoop, IsReplayedAlikeByAllBackEnds) {
   sim::MapWorldOptions o = small_world(40 + static_cast<std::uint64_t>(GetParam()));
   o.fisheye = GetParam() % 2;
   o.inertial = GetParam() / 2 % 2;
@@ -66,23 +75,23 @@ TEST_P(RecordedLoop, IsReplayedAlikeByBothBackEnds) {
   const LoopRequest request = loop::request_of(loaded, file);
   const auto snapshot = loaded.map.publish();
   const ReplayRun reference = LoopReplay(snapshot, request, Backend::kReference).run();
-  const ReplayRun cpu = LoopReplay(snapshot, request, Backend::kCpu).run();
   EXPECT_TRUE(reference.applied.applied) << reference.applied.reason;
-  EXPECT_EQ(decision_digest(reference.outcome), decision_digest(cpu.outcome));
-  EXPECT_LT(largest_pose_difference(reference.outcome, cpu.outcome), kPoseTolerance);
-  EXPECT_EQ(reference.applied.merged, cpu.applied.merged);
-  EXPECT_EQ(reference.applied.observed, cpu.applied.observed);
-  // The run did the same.
-  ASSERT_TRUE(cpu.outcome.correction.has_value());
-  for (const map::CorrectedState& s : cpu.outcome.correction->states) {
-    const SE3 there = run.after.T_world_body(s.keyframe);
-    EXPECT_LT((there.translation - s.after.T_world_body.translation).norm(), kPoseTolerance);
-    EXPECT_LT(angle_between(there, s.after.T_world_body), kPoseTolerance);
+  for (const Backend backend : parallel_backends()) {
+    SCOPED_TRACE(to_string(backend));
+    const ReplayRun other = LoopReplay(snapshot, request, backend).run();
+    expect_alike(reference, other);
+    // The run did the same.
+    ASSERT_TRUE(other.outcome.correction.has_value());
+    for (const map::CorrectedState& s : other.outcome.correction->states) {
+      const SE3 there = run.after.T_world_body(s.keyframe);
+      EXPECT_LT((there.translation - s.after.T_world_body.translation).norm(), kPoseTolerance);
+      EXPECT_LT(angle_between(there, s.after.T_world_body), kPoseTolerance);
+    }
   }
 }
 INSTANTIATE_TEST_SUITE_P(Worlds, RecordedLoop, ::testing::Range(0, 6));
 
-TEST(PosesOfBothBackEnds, AgreeOnLargeMaps) {
+TEST(PosesOfAllBackEnds, AgreeOnLargeMaps) {
   for (const int keyframes : {300, 1000, 3000})
     for (const bool inertial : {false, true}) {
       sim::MapWorldOptions o = small_world(3);
@@ -96,16 +105,17 @@ TEST(PosesOfBothBackEnds, AgreeOnLargeMaps) {
       request.inertial = inertial;
       const auto snapshot = world.map.publish();
       const ReplayRun reference = LoopReplay(snapshot, request, Backend::kReference).run();
-      const ReplayRun cpu = LoopReplay(snapshot, request, Backend::kCpu).run();
-      SCOPED_TRACE(describe(cpu.outcome.report));
-      ASSERT_TRUE(cpu.outcome.correction.has_value());
-      EXPECT_EQ(decision_digest(reference.outcome), decision_digest(cpu.outcome));
-      EXPECT_LT(largest_pose_difference(reference.outcome, cpu.outcome), kPoseTolerance);
-      EXPECT_TRUE(cpu.applied.applied) << cpu.applied.reason;
+      ASSERT_TRUE(reference.outcome.correction.has_value()) << describe(reference.outcome.report);
+      EXPECT_TRUE(reference.applied.applied) << reference.applied.reason;
+      for (const Backend backend : parallel_backends()) {
+        const ReplayRun other = LoopReplay(snapshot, request, backend).run();
+        SCOPED_TRACE(std::string(to_string(backend)) + "\n" + describe(other.outcome.report));
+        expect_alike(reference, other);
+      }
     }
 }
 
-TEST(BothBackEnds, DecideAlikeInTwoHundredWorlds) {
+TEST(AllBackEnds, DecideAlikeInTwoHundredWorlds) {
   int accepted = 0, refused = 0;
   for (unsigned seed = 100; seed < 300; ++seed) {
     sim::MapWorldOptions o = small_world(seed);
@@ -123,14 +133,14 @@ TEST(BothBackEnds, DecideAlikeInTwoHundredWorlds) {
     request.inertial = o.inertial;
     const auto snapshot = world.map.publish();
     const ReplayRun reference = LoopReplay(snapshot, request, Backend::kReference).run();
-    const ReplayRun cpu = LoopReplay(snapshot, request, Backend::kCpu).run();
-    SCOPED_TRACE(::testing::Message() << "seed " << seed << "\n" << describe(cpu.outcome.report));
-    ASSERT_EQ(decision_digest(reference.outcome), decision_digest(cpu.outcome));
-    ASSERT_LT(largest_pose_difference(reference.outcome, cpu.outcome), kPoseTolerance);
-    EXPECT_EQ(reference.applied.applied, cpu.applied.applied);
-    EXPECT_EQ(reference.applied.merged, cpu.applied.merged);
-    EXPECT_EQ(reference.applied.observed, cpu.applied.observed);
-    ++(cpu.outcome.correction ? accepted : refused);
+    for (const Backend backend : parallel_backends()) {
+      const ReplayRun other = LoopReplay(snapshot, request, backend).run();
+      SCOPED_TRACE(::testing::Message() << "seed " << seed << ", " << to_string(backend) << "\n"
+                                        << describe(other.outcome.report));
+      expect_alike(reference, other);
+      ASSERT_FALSE(HasFailure());
+    }
+    ++(reference.outcome.correction ? accepted : refused);
   }
   EXPECT_GT(accepted, 100);
   EXPECT_GT(refused, 20);

@@ -222,7 +222,7 @@ TEST_F(Thresholds, CorrectionTakesKeyframesThatShareEnough) {
     CorrectionMemory memory;
     StageClock clock;
     const auto c =
-        compute_correction(map_, confirmed().match, options_, Backend::kCpu, memory, clock);
+        compute_correction(map_, confirmed().match, options_, executors_of(Backend::kCpu), memory, clock);
     std::set<KeyframeId> ids;
     for (const map::NewObservation& o : c.observations) ids.insert(o.keyframe);
     return ids;

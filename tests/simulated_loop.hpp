@@ -1,6 +1,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "fastloop/loop/loop_closer.hpp"
 #include "fastloop/place/default_vocabulary.hpp"
@@ -43,6 +44,14 @@ inline std::string describe(const LoopReport& r) {
   }
   for (const auto& [stage, ms] : r.times_ms) text += "  " + stage + " " + std::to_string(ms) + " ms\n";
   return text;
+}
+
+/// The back ends that must decide as the reference does; cuda where there is a device.
+inline std::vector<Backend> parallel_backends() {
+  std::vector<Backend> backends{Backend::kCpu};
+  for (const Backend b : {Backend::kCuda, Backend::kAuto})
+    if (resolve(b) == b) backends.push_back(b);
+  return backends;
 }
 
 /// A small world with a pending loop.

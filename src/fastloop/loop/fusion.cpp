@@ -159,13 +159,13 @@ void name_winners(Groups& groups, Fusion& fusion) {
 
 }  // namespace
 
-Fusion fuse_loop(const Executor& executor, const Snapshot& snapshot, const LoopOptions& options,
+Fusion fuse_loop(const StepExecutors& executors, const Snapshot& snapshot, const LoopOptions& options,
                  const RegionMatch& match, std::span<const MovedKeyframe> moved,
                  const map::LandmarkArrays& cloud) {
-  if (executor.kind() == Executor::Kind::kReference)
+  if (executors.reference())
     return fuse_loop_reference(snapshot, options, match, moved, cloud);
   const std::vector<matching::ProjectionMatches> found =
-      search_keyframes(executor, snapshot, moved, cloud, options.fusion_radius_px,
+      search_keyframes(executors, snapshot, moved, cloud, options.fusion_radius_px,
                        options.fusion_max_distance);
   const Places places(snapshot, match.current, moved);
   Groups groups(snapshot, 4 * cloud.size());

@@ -20,7 +20,7 @@ struct Fusion {
 /// at a keypoint with a landmark makes the two one; at a free keypoint it becomes an observation. All
 /// duplicates of all landmarks are joined at once, nearest descriptors first, and never two landmarks
 /// that one keyframe sees at different keypoints. Deterministic for any executor.
-Fusion fuse_loop(const Executor& executor, const map::Snapshot& snapshot, const LoopOptions& options,
+Fusion fuse_loop(const StepExecutors& executors, const map::Snapshot& snapshot, const LoopOptions& options,
                  const RegionMatch& match, std::span<const MovedKeyframe> moved,
                  const map::LandmarkArrays& cloud);
 /// The same with plain sorting and hash maps, one thread: what fuse_loop does with the reference

@@ -2,7 +2,7 @@
 
 namespace fastloop::loop {
 
-std::vector<matching::ProjectionMatches> search_keyframes(const Executor& executor,
+std::vector<matching::ProjectionMatches> search_keyframes(const StepExecutors& executors,
                                                           const map::Snapshot& snapshot,
                                                           std::span<const MovedKeyframe> moved,
                                                           const map::LandmarkArrays& cloud,
@@ -16,8 +16,9 @@ std::vector<matching::ProjectionMatches> search_keyframes(const Executor& execut
   rule.radius_px = radius_px;
   rule.max_distance = max_distance;
   std::vector<matching::ProjectionMatches> found(moved.size());
-  matching::search_by_projection(executor, snapshot.rig(), snapshot.scales(), targets, cloud.view(),
-                                 rule, found);
+  const auto work = static_cast<double>(cloud.size()) * static_cast<double>(moved.size());
+  matching::search_by_projection(executors.of(Step::kProjection, work), snapshot.rig(),
+                                 snapshot.scales(), targets, cloud.view(), rule, found);
   return found;
 }
 

@@ -3,7 +3,7 @@
 #include <span>
 #include <vector>
 
-#include "fastloop/compute/executor.hpp"
+#include "fastloop/loop/step_executors.hpp"
 #include "fastloop/map/landmark_arrays.hpp"
 
 namespace fastloop::loop {
@@ -17,7 +17,7 @@ struct MovedKeyframe {
 /// Every landmark of a place searched in every keyframe, by the rule of loop closing: PS1 to PS3 and
 /// loop fusion differ in radius and distance only.
 /// @return [moved]
-std::vector<matching::ProjectionMatches> search_keyframes(const Executor& executor,
+std::vector<matching::ProjectionMatches> search_keyframes(const StepExecutors& executors,
                                                           const map::Snapshot& snapshot,
                                                           std::span<const MovedKeyframe> moved,
                                                           const map::LandmarkArrays& cloud,

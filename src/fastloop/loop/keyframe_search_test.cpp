@@ -2,10 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include "fastloop/compute/executors_for_tests.hpp"
 #include "fastloop/map/loop_map_for_tests.hpp"
 #include "fastloop/matching/expectations_for_tests.hpp"
 
-/// The search of loop closing on maps: both executors alike, and its rule at every threshold. The
+/// The search of loop closing on maps: all executors alike, and its rule at every threshold. The
 /// primitive below is held against brute force in matching/projection_search_test.cpp.
 namespace fastloop::loop {
 namespace {
@@ -21,15 +22,17 @@ std::vector<ProjectionMatches> expect_parity(const map::Snapshot& m,
                                              int max_distance) {
   const auto reference =
       search_keyframes(Executor::reference(), m, moved, cloud, radius_px, max_distance);
-  const auto cpu = search_keyframes(Executor::cpu(), m, moved, cloud, radius_px, max_distance);
   EXPECT_EQ(reference.size(), moved.size());
-  EXPECT_EQ(cpu.size(), moved.size());
-  for (std::size_t t = 0; t < reference.size(); ++t)
-    matching::testing::expect_equal(reference[t], cpu[t]);
-  return cpu;
+  for (const Executor& executor : fastloop::testing::parallel_executors()) {
+    const auto other = search_keyframes(executor, m, moved, cloud, radius_px, max_distance);
+    EXPECT_EQ(other.size(), moved.size());
+    for (std::size_t t = 0; t < reference.size(); ++t)
+      matching::testing::expect_equal(reference[t], other[t]);
+  }
+  return reference;
 }
 
-TEST(KeyframeSearch, BothExecutorsAlike) {
+TEST(KeyframeSearch, AllExecutorsAlike) {
   int situations = 0, matches = 0, crowded = 0, behind = 0;
   for (unsigned seed = 0; seed < 240; ++seed) {
     SCOPED_TRACE(seed);

@@ -6,8 +6,9 @@ LoopCloser::LoopCloser(const LoopOptions& options, Backend backend,
                        const place::Vocabulary& vocabulary)
     : options_(options),
       backend_(resolve(backend)),
+      executors_(executors_of(backend_)),
       database_(vocabulary),
-      detector_(options, executor_of(backend_)) {}
+      detector_(options, executors_) {}
 
 namespace {
 /// Readers of older snapshots may still ask for a removed keyframe; this many keyframes later none
@@ -29,7 +30,7 @@ void LoopCloser::add(const map::Snapshot& snapshot, KeyframeId keyframe) {
   if (!snapshot.contains(keyframe) || database_.words(keyframe)) return;
   database_.insert(keyframe,
                    database_.words_of(snapshot.keyframe(keyframe).data->features->descriptors,
-                                      executor_of(backend_)));
+                                      executors_.host()));
 }
 
 void LoopCloser::add_all(const map::Snapshot& snapshot) {
@@ -37,7 +38,7 @@ void LoopCloser::add_all(const map::Snapshot& snapshot) {
   for (std::uint32_t i = 0; i < snapshot.keyframe_slots(); ++i)
     if (snapshot.contains(KeyframeId(i)) && !database_.words(KeyframeId(i))) ids.emplace_back(i);
   std::vector<place::PlaceDatabase::Words> words(ids.size());
-  executor_of(backend_).for_ranges(ids.size(), 4, [&](std::size_t begin, std::size_t end) {
+  executors_.host().for_ranges(ids.size(), 4, [&](std::size_t begin, std::size_t end) {
     for (; begin < end; ++begin)
       words[begin] =
           database_.words_of(snapshot.keyframe(ids[begin]).data->features->descriptors);
@@ -63,7 +64,7 @@ LoopCloser::Outcome LoopCloser::process(const map::Snapshot& snapshot, KeyframeI
   outcome.report.times_ms.insert(outcome.report.times_ms.begin(), clock.times_ms().front());
   if (!detected.match) return outcome;
   StageClock correcting;
-  outcome.correction = compute_correction(snapshot, *detected.match, options_, backend_, memory_,
+  outcome.correction = compute_correction(snapshot, *detected.match, options_, executors_, memory_,
                                           correcting);
   for (const auto& time : correcting.times_ms()) outcome.report.times_ms.push_back(time);
   return outcome;

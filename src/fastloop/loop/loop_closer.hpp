@@ -3,6 +3,7 @@
 #include <map>
 #include <optional>
 
+#include "fastloop/loop/backend.hpp"
 #include "fastloop/loop/detection.hpp"
 #include "fastloop/loop/loop_correction.hpp"
 
@@ -43,6 +44,7 @@ class LoopCloser {
   const place::PlaceDatabase& database() const { return database_; }
   const LoopOptions& options() const { return options_; }
   Backend backend() const { return backend_; }
+  const StepExecutors& executors() const { return executors_; }
   void set_waiting(const LoopDetector::Waiting& waiting) { detector_.set_waiting(waiting); }
 
  private:
@@ -50,6 +52,7 @@ class LoopCloser {
 
   LoopOptions options_;
   Backend backend_;
+  StepExecutors executors_;
   place::PlaceDatabase database_;
   LoopDetector detector_;
   CorrectionMemory memory_;

@@ -53,7 +53,8 @@ void finish_exactly(optimization::PoseGraphProblem& problem) {
   optimization::solve_pose_graph(problem, exact);
 }
 
-void optimise_graph(const Snapshot& snapshot, const LoopOptions& options, Backend backend,
+void optimise_graph(const Snapshot& snapshot, const LoopOptions& options,
+                    const StepExecutors& executors,
                     map::ClosedLoop loop, CorrectionMemory& memory, StageClock& clock,
                     LoopCorrection& c) {
   map::EssentialGraphOptions graph;
@@ -64,10 +65,10 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options, Backen
   map::build_essential_graph(snapshot, c.map, loop, graph, memory.graph);
   clock.lap("graph_build");
   optimization::PoseGraphOptions solve;
-  solve.solver = backend == Backend::kReference ? optimization::PoseGraphSolverKind::kReference
-                                                : optimization::PoseGraphSolverKind::kBlock;
+  solve.solver = executors.reference() ? optimization::PoseGraphSolverKind::kReference
+                                       : optimization::PoseGraphSolverKind::kBlock;
   solve.relative_tolerance = 1e-14;  // 1e-10 leaves poses of 3,000 keyframes 1e-5 m away
-  solve.threads = backend == Backend::kReference ? 1 : options.graph_threads;
+  solve.threads = executors.reference() ? 1 : options.graph_threads;
   optimization::solve_pose_graph(memory.graph.problem, solve, &memory.plan, memory.graph_result);
   for (std::size_t v = 0; v < memory.graph.keyframe_of_vertex.size(); ++v) {
     const KeyframeId id = memory.graph.keyframe_of_vertex[v];
@@ -75,7 +76,7 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options, Backen
                         map::corrected_state(snapshot, memory.graph, v)});
   }
   clock.lap("graph_solve");
-  if (backend != Backend::kReference) return;
+  if (!executors.reference()) return;
   finish_exactly(memory.graph.problem);
   for (std::size_t v = 0; v < c.states.size(); ++v)
     c.states[v].after = map::corrected_state(snapshot, memory.graph, v);
@@ -85,9 +86,8 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options, Backen
 }  // namespace
 
 LoopCorrection compute_correction(const Snapshot& snapshot, const RegionMatch& match,
-                                  const LoopOptions& options, Backend backend,
+                                  const LoopOptions& options, const StepExecutors& executors,
                                   CorrectionMemory& memory, StageClock& clock) {
-  backend = resolve(backend);
   LoopCorrection c;
   c.frame_version = snapshot.frame_version();
   c.map = snapshot.keyframe(match.current).map;
@@ -111,22 +111,22 @@ LoopCorrection compute_correction(const Snapshot& snapshot, const RegionMatch& m
   const map::LandmarkArrays cloud(
       snapshot,
       map::landmarks_of(snapshot, window_of(snapshot, match.matched, options.window_covisibles)),
-      executor_of(backend));
-  Fusion fusion = fuse_loop(executor_of(backend), snapshot, options, match, moved, cloud);
+      executors.host());
+  Fusion fusion = fuse_loop(executors, snapshot, options, match, moved, cloud);
   clock.lap("loop_fusion");
   if (match.merge) {
     merge_rigidly(snapshot, match, T_new_old, c);
   } else {
-    loop.connections = backend == Backend::kReference
+    loop.connections = executors.reference()
                            ? find_connections_reference(snapshot, connected, fusion,
                                                         options.min_connection)
                            : find_connections(snapshot, connected, fusion, options.min_connection);
     clock.lap("connections");
-    optimise_graph(snapshot, options, backend, std::move(loop), memory, clock, c);
+    optimise_graph(snapshot, options, executors, std::move(loop), memory, clock, c);
   }
   c.merges = std::move(fusion.merges);
   c.observations = std::move(fusion.observations);
-  if (backend == Backend::kReference) {
+  if (executors.reference()) {
     move_landmarks_reference(snapshot, c.states);
     clock.lap("landmarks");
   }

@@ -1,6 +1,5 @@
 #pragma once
 
-#include "fastloop/loop/backend.hpp"
 #include "fastloop/loop/fusion.hpp"
 #include "fastloop/loop/stage_clock.hpp"
 #include "fastloop/map/correction.hpp"
@@ -24,7 +23,7 @@ struct CorrectionMemory {
 /// minimum, where those of all back ends agree to 1e-6 (no part of the published method), and
 /// "landmarks", which moves every landmark as published.
 map::LoopCorrection compute_correction(const map::Snapshot& snapshot, const RegionMatch& match,
-                                       const LoopOptions& options, Backend backend,
+                                       const LoopOptions& options, const StepExecutors& executors,
                                        CorrectionMemory& memory, StageClock& clock);
 
 }  // namespace fastloop::loop

@@ -100,7 +100,7 @@ ReplayRun LoopReplay::run() {
   run.outcome = closer_->process(*snapshot_, request_.keyframe);
   if (run.outcome.correction)
     run.applied =
-        map::apply_correction(map, *run.outcome.correction, {}, executor_of(closer_->backend()));
+        map::apply_correction(map, *run.outcome.correction, {}, closer_->executors().host());
   run.total_ms = watch.elapsed_ms();
   run.stages_ms = run.outcome.report.times_ms;
   double graph_ms = 0;

@@ -21,6 +21,7 @@ struct PairArrays {
   const float *pixel_view, *gate_view;
   const ViewPose* views;
   int size;
+  int num_views = 0;
 };
 
 FASTLOOP_HD inline bool reprojects(const matching::CameraView& camera, const float p[3],

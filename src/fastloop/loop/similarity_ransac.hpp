@@ -4,9 +4,9 @@
 #include <span>
 #include <vector>
 
-#include "fastloop/compute/executor.hpp"
 #include "fastloop/geometry/sim3.hpp"
 #include "fastloop/loop/similarity_math.hpp"
+#include "fastloop/loop/step_executors.hpp"
 
 namespace fastloop::loop {
 
@@ -46,11 +46,11 @@ struct RansacResult {
 /// Similarity between the sides of each problem by random samples of three pairs. A pair is an
 /// inlier when its reprojection errors both ways are within their gates. The first chunk that holds
 /// a hypothesis with more than min_inliers ends the search; the best of that chunk is taken (ties:
-/// the lowest index). The hypotheses of a chunk of all undecided problems are evaluated together;
-/// the result is the same for any executor.
+/// the lowest index). The hypotheses of a chunk of all undecided problems are evaluated together, on
+/// the device all hypotheses of all problems at once; the result is the same for any executor.
 ///
 /// @param[out] results  [problems.size()]
-void find_similarities(const Executor& executor, const matching::CameraView& camera,
+void find_similarities(const StepExecutors& executors, const matching::CameraView& camera,
                        std::span<const SimilarityPairs> problems, const RansacOptions& options,
                        std::span<RansacResult> results);
 

@@ -6,9 +6,10 @@
 #include <cstring>
 #include <random>
 
+#include "fastloop/compute/executors_for_tests.hpp"
 #include "fastloop/matching/scene_for_tests.hpp"
 
-/// Both executors against each other and against a plain loop written from the header's text.
+/// The executors against each other and against a plain loop written from the header's text.
 namespace fastloop::loop {
 namespace {
 
@@ -140,6 +141,16 @@ void expect_same_bits(const Sim3& a, const Sim3& b) {
   EXPECT_EQ(bits(a), bits(b));
 }
 
+/// The parallel executors, and one that goes to the device after the first chunk.
+std::vector<StepExecutors> with_choosing() {
+  std::vector<StepExecutors> all;
+  for (const Executor& e : fastloop::testing::parallel_executors()) all.emplace_back(e);
+  CostModel costs = CostModel::defaults(1);
+  costs.of(Step::kSimilarity) = {{0, 1}, {1e-3 * 2000, 0}};  // from 2,400 pairs x hypotheses on
+  all.emplace_back(Executor::cpu(), fastloop::testing::parallel_executors().back(), costs);
+  return all;
+}
+
 ProblemOptions situation(unsigned seed, std::mt19937& rng) {
   ProblemOptions o;
   static constexpr int kSizes[] = {0, 1, 2, 3, 4, 15, 16, 17, 40, 120};
@@ -154,7 +165,7 @@ ProblemOptions situation(unsigned seed, std::mt19937& rng) {
   return o;
 }
 
-TEST(SimilarityRansac, BothExecutorsEqualOneByOne) {
+TEST(SimilarityRansac, AllExecutorsEqualOneByOne) {
   int situations = 0, found = 0, refused = 0, decided_late = 0;
   for (unsigned seed = 0; seed < 240; ++seed) {
     std::mt19937 rng(seed);
@@ -169,14 +180,20 @@ TEST(SimilarityRansac, BothExecutorsEqualOneByOne) {
     o.fixed_scale = seed % 4 != 0;
     o.min_inliers = seed % 6 == 0 ? 3 : 15;
     o.chunk = seed % 5 == 0 ? 7 : 20;
-    std::vector<RansacResult> reference(problems.size()), cpu(problems.size());
+    std::vector<RansacResult> reference(problems.size());
     find_similarities(Executor::reference(), view, problems, o, reference);
-    find_similarities(Executor::cpu(), view, problems, o, cpu);
+    std::vector<std::vector<RansacResult>> others;
+    for (const StepExecutors& executors : with_choosing()) {
+      others.emplace_back(problems.size());
+      find_similarities(executors, view, problems, o, others.back());
+    }
     for (std::size_t p = 0; p < problems.size(); ++p) {
       SCOPED_TRACE(::testing::Message() << "seed " << seed << " problem " << p);
       expect_equal(reference[p], one_by_one(view, problems[p], o));
-      expect_equal(reference[p], cpu[p]);
-      expect_same_bits(reference[p].S_first_second, cpu[p].S_first_second);
+      for (const auto& other : others) {
+        expect_equal(reference[p], other[p]);
+        expect_same_bits(reference[p].S_first_second, other[p].S_first_second);
+      }
       ++situations;
       ++(reference[p].found ? found : refused);
       decided_late += reference[p].found && reference[p].evaluated > o.chunk;
@@ -186,6 +203,45 @@ TEST(SimilarityRansac, BothExecutorsEqualOneByOne) {
   EXPECT_GT(found, 60);
   EXPECT_GT(refused, 60);
   EXPECT_GT(decided_late, 3);
+}
+
+TEST(SimilarityRansacOnDevice, WhatFailsThereIsDoneOnTheCpu) {
+  const auto session = CudaSession::open();
+  if (!session) GTEST_SKIP() << "no CUDA device";
+  std::mt19937 rng(3);
+  const Camera camera = matching::testing::pinhole_rig().left;
+  const CameraView view = matching::make_camera_view(camera);
+  std::vector<SimilarityPairs> problems;
+  for (int i = 0; i < 4; ++i) problems.push_back(random_problem(camera, {}, rng).pairs);
+  const RansacOptions o;
+  std::vector<RansacResult> reference(problems.size());
+  find_similarities(Executor::reference(), view, problems, o, reference);
+  for (const bool lost : {false, true})
+    for (int call = 1; call < 8; ++call) {
+      const auto fresh = CudaSession::open();
+      fresh->inject_failure(call, lost);
+      std::vector<RansacResult> other(problems.size());
+      find_similarities(Executor::cuda(fresh), view, problems, o, other);
+      for (std::size_t p = 0; p < problems.size(); ++p) expect_equal(reference[p], other[p]);
+    }
+}
+
+TEST(SimilarityRansacOnDevice, OneLaunchAndOneWaitForAllProblems) {
+  const auto session = CudaSession::open();
+  if (!session) GTEST_SKIP() << "no CUDA device";
+  std::mt19937 rng(4);
+  const Camera camera = matching::testing::pinhole_rig().left;
+  const CameraView view = matching::make_camera_view(camera);
+  std::vector<SimilarityPairs> problems;
+  for (int i = 0; i < 6; ++i) problems.push_back(random_problem(camera, {}, rng).pairs);
+  std::vector<RansacResult> results(problems.size());
+  find_similarities(Executor::cuda(session), view, problems, {}, results);
+  const CudaCounters before = session->counters();
+  find_similarities(Executor::cuda(session), view, problems, {}, results);
+  const CudaCounters after = session->counters();
+  EXPECT_EQ(after.launches - before.launches, 1u);
+  EXPECT_EQ(after.synchronizations - before.synchronizations, 1u);
+  EXPECT_EQ(after.allocations, before.allocations);
 }
 
 TEST(SimilarityRansac, FindsTheTruthAmongOutliers) {
@@ -238,10 +294,13 @@ class RansacThresholds : public ::testing::Test {
     append(pairs_.gate_view, bad.gate_view);
   }
   RansacResult run() const {
-    RansacResult reference, cpu;
+    RansacResult reference;
     find_similarities(Executor::reference(), view_, {&pairs_, 1}, options_, {&reference, 1});
-    find_similarities(Executor::cpu(), view_, {&pairs_, 1}, options_, {&cpu, 1});
-    expect_equal(reference, cpu);
+    for (const StepExecutors& executors : with_choosing()) {
+      RansacResult other;
+      find_similarities(executors, view_, {&pairs_, 1}, options_, {&other, 1});
+      expect_equal(reference, other);
+    }
     return reference;
   }
 

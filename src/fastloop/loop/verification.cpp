@@ -47,7 +47,7 @@ matching::ProjectionMatches Verifier::search(const Snapshot& snapshot, KeyframeI
                                              int max_distance) const {
   const MovedKeyframe one{target, T_camera_world};
   return std::move(
-      search_keyframes(executor_, snapshot, {&one, 1}, cloud, radius_px, max_distance).front());
+      search_keyframes(executors_, snapshot, {&one, 1}, cloud, radius_px, max_distance).front());
 }
 
 void Verifier::match_windows(const Snapshot& snapshot, KeyframeId current,
@@ -70,13 +70,13 @@ void Verifier::match_windows(const Snapshot& snapshot, KeyframeId current,
   matching::DescriptorMatchOptions rule;
   rule.max_distance = options_.max_match_distance;
   rule.best_to_second = options_.match_ratio;
-  executor_.for_ranges(jobs.size(), 1, [&](std::size_t begin, std::size_t end) {
+  executors_.host().for_ranges(jobs.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (; begin < end; ++begin) {
       Job& job = jobs[begin];
       const place::PlaceDatabase::Words other = database.words(job.keyframe);
       const std::vector<std::uint8_t> mask = keypoints_without_landmark(snapshot, job.keyframe);
       job.matches = matching::match_descriptors(
-          executor_, query,
+          executors_.host(), query,
           {snapshot.keyframe(job.keyframe).data->features.get(), other ? &other->groups : nullptr,
            mask},
           rule);
@@ -104,7 +104,7 @@ void Verifier::solve_similarities(const Snapshot& snapshot, KeyframeId current,
   RansacOptions o;
   o.min_inliers = options_.min_ransac_inliers;
   o.seed = current.value();
-  find_similarities(executor_, matching::make_camera_view(snapshot.rig().left), problems, o,
+  find_similarities(executors_, matching::make_camera_view(snapshot.rig().left), problems, o,
                     results);
   for (std::size_t h = 0; h < hypotheses.size(); ++h) {
     if (!hypotheses[h].alive()) continue;
@@ -121,7 +121,7 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
                       int min_inliers) const {
   const std::vector<optimization::SimilarityPair> pairs =
       make_refinement_pairs(snapshot, current, h.window, h.cloud, h.found);
-  const bool published = executor_.kind() == Executor::Kind::kReference;
+  const bool published = executors_.reference();
   const optimization::SimilarityResult refined =
       (published ? optimization::refine_similarity_reference : optimization::refine_similarity)(
           snapshot.rig().left, Sim3(h.T_camera_world), pairs, {});
@@ -134,7 +134,7 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
 
 void Verifier::guide(const Snapshot& snapshot, KeyframeId current, Hypothesis& h) const {
   const LoopOptions& o = options_;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executor_);
+  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
   h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.wide_radius_px,
                    o.wide_max_distance);
   if (!h.gate("wide projection matches", h.found.count, o.min_wide_matches,
@@ -161,7 +161,7 @@ void Verifier::confirm(const Snapshot& snapshot, KeyframeId current, Hypothesis&
     for (std::size_t i = next; i < next + n; ++i)
       moved.push_back({others[i], snapshot.T_world_camera(others[i]).inverse() * T_world_current *
                                       h.T_camera_world});
-    const auto found = search_keyframes(executor_, snapshot, moved, h.cloud, o.covisible_radius_px,
+    const auto found = search_keyframes(executors_, snapshot, moved, h.cloud, o.covisible_radius_px,
                                         o.covisible_max_distance);
     for (const auto& f : found) agreed += f.count >= o.min_covisible_matches;
     next += n;
@@ -188,7 +188,7 @@ void Verifier::verify(const Snapshot& snapshot, KeyframeId current,
   clock.lap("descriptor_matching");
   solve_similarities(snapshot, current, hypotheses);
   clock.lap("similarity");
-  executor_.for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
+  executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (; begin < end; ++begin) {
       Hypothesis& h = hypotheses[begin];
       if (h.alive()) guide(snapshot, current, h);
@@ -218,7 +218,7 @@ Verified Verifier::recheck(const Snapshot& snapshot, KeyframeId current, Keyfram
           h.window.push_back(second);
   }
   h.T_camera_world = predicted_T_camera_world;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executor_);
+  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
   h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.covisible_radius_px,
                    o.covisible_max_distance);
   if (h.gate("projection matches", h.found.count, o.min_covisible_matches,

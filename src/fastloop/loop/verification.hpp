@@ -3,11 +3,11 @@
 #include <span>
 #include <vector>
 
-#include "fastloop/compute/executor.hpp"
 #include "fastloop/loop/options.hpp"
 #include "fastloop/loop/region_match.hpp"
 #include "fastloop/loop/report.hpp"
 #include "fastloop/loop/stage_clock.hpp"
+#include "fastloop/loop/step_executors.hpp"
 #include "fastloop/map/landmark_arrays.hpp"
 #include "fastloop/place/place_database.hpp"
 
@@ -21,11 +21,11 @@ struct Verified {
 };
 
 /// Decides by geometry whether a keyframe sees the place of another one. Stateless but for options;
-/// reads snapshots only. Results do not depend on the executor.
+/// reads snapshots only. Results do not depend on the executors.
 class Verifier {
  public:
-  Verifier(const LoopOptions& options, const Executor& executor)
-      : options_(options), executor_(executor) {}
+  Verifier(const LoopOptions& options, const StepExecutors& executors)
+      : options_(options), executors_(executors) {}
 
   /// Verifies all candidates together: descriptor matches with the candidate's covisibility window,
   /// similarity by RANSAC, wide search [PS2a], refinement, narrow search [PS2b], search from the
@@ -52,7 +52,7 @@ class Verifier {
                                      float radius_px, int max_distance) const;
 
   LoopOptions options_;
-  Executor executor_;
+  StepExecutors executors_;
 };
 
 /// A keyframe and the best covisible ones; the landmarks they see are what is known of a place.
