@@ -73,7 +73,7 @@ SimilarityPairs make_similarity_pairs(const Snapshot& snapshot, KeyframeId curre
 
 std::vector<optimization::SimilarityPair> make_refinement_pairs(
     const Snapshot& snapshot, KeyframeId current, std::span<const KeyframeId> window,
-    const map::LandmarkArrays& cloud, const matching::ProjectionMatches& found) {
+    const map::LandmarkArrays& cloud, std::span<const matching::KeypointMatch> found) {
   const map::Keyframe& k = snapshot.keyframe(current);
   const SE3 T_current_world = snapshot.T_world_camera(current).inverse();
   const auto inv_sigma2 = [&](KeyframeId id, std::uint32_t keypoint) {
@@ -83,21 +83,20 @@ std::vector<optimization::SimilarityPair> make_refinement_pairs(
   for (const KeyframeId id : window) T_view_world.push_back(snapshot.T_world_camera(id).inverse());
 
   std::vector<optimization::SimilarityPair> pairs;
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    if (found.keypoint[i] == matching::kNoMatch) continue;
-    const auto keypoint = static_cast<std::uint32_t>(found.keypoint[i]);
-    const LandmarkId own = k.landmarks[keypoint];
+  for (const matching::KeypointMatch& match : found) {
+    const LandmarkId own = k.landmarks[match.keypoint];
     if (!own.valid()) continue;
-    const std::vector<Observation>& seen = snapshot.landmark(cloud.ids[i]).observations;
+    const LandmarkId landmark = cloud.ids[match.landmark];
+    const std::vector<Observation>& seen = snapshot.landmark(landmark).observations;
     for (std::size_t w = 0; w < window.size(); ++w) {
       const auto o = std::lower_bound(seen.begin(), seen.end(), window[w],
                                       [](const Observation& a, KeyframeId b) { return a.keyframe < b; });
       if (o == seen.end() || o->keyframe != window[w]) continue;
       optimization::SimilarityPair p;
       p.p_first = T_current_world * snapshot.p_world(own);
-      p.p_second = snapshot.p_world(cloud.ids[i]);
-      p.pixel_first = snapshot.pixel(current, keypoint).left;
-      p.inv_sigma2_first = inv_sigma2(current, keypoint);
+      p.p_second = snapshot.p_world(landmark);
+      p.pixel_first = snapshot.pixel(current, match.keypoint).left;
+      p.inv_sigma2_first = inv_sigma2(current, match.keypoint);
       p.T_view_second = T_view_world[w];
       p.pixel_view = snapshot.pixel(window[w], o->keypoint).left;
       p.inv_sigma2_view = inv_sigma2(window[w], o->keypoint);
@@ -110,17 +109,15 @@ std::vector<optimization::SimilarityPair> make_refinement_pairs(
 
 RegionMatch make_region_match(const Snapshot& snapshot, KeyframeId current, KeyframeId matched,
                               const SE3& T_camera_world, const map::LandmarkArrays& cloud,
-                              const matching::ProjectionMatches& found) {
+                              std::span<const matching::KeypointMatch> found) {
   RegionMatch match;
   match.current = current;
   match.matched = matched;
   match.merge = snapshot.keyframe(current).map != snapshot.keyframe(matched).map;
   match.T_camera_world = T_camera_world;
   match.landmarks.assign(snapshot.keyframe(current).landmarks.size(), LandmarkId{});
-  for (std::size_t i = 0; i < cloud.size(); ++i)
-    if (found.keypoint[i] != matching::kNoMatch)
-      match.landmarks[static_cast<std::size_t>(found.keypoint[i])] = cloud.ids[i];
-  match.num_matches = found.count;
+  for (const matching::KeypointMatch& m : found) match.landmarks[m.keypoint] = cloud.ids[m.landmark];
+  match.num_matches = static_cast<int>(found.size());
   return match;
 }
 

@@ -48,12 +48,13 @@ SimilarityPairs make_similarity_pairs(const map::Snapshot& snapshot, KeyframeId 
 
 /// Pairs of the landmarks found in `current` with its own landmarks at the same keypoints. The view
 /// of the second side is the first keyframe of `window` that sees the landmark.
+/// @param found  landmarks of `cloud`; the pairs come in this order
 std::vector<optimization::SimilarityPair> make_refinement_pairs(
     const map::Snapshot& snapshot, KeyframeId current, std::span<const KeyframeId> window,
-    const map::LandmarkArrays& cloud, const matching::ProjectionMatches& found);
+    const map::LandmarkArrays& cloud, std::span<const matching::KeypointMatch> found);
 
 RegionMatch make_region_match(const map::Snapshot& snapshot, KeyframeId current, KeyframeId matched,
                               const SE3& T_camera_world, const map::LandmarkArrays& cloud,
-                              const matching::ProjectionMatches& found);
+                              std::span<const matching::KeypointMatch> found);
 
 }  // namespace fastloop::loop

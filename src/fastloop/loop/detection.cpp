@@ -60,8 +60,10 @@ std::vector<place::RankedCandidate> LoopDetector::rank(
   for (std::size_t i = 0; i < looked_at; ++i)
     sides.try_emplace(found[i].keyframe, make_side(found[i].keyframe));
   const Side self = make_side(keyframe);
+  const auto work = static_cast<double>(self.view.features->size() * looked_at);
   return place::rank_by_matches(
-      executors_.host(), self.view, found, [&](KeyframeId id) { return sides.at(id).view; }, ranking);
+      executors_.of(Step::kDescriptors, work), self.view, found,
+      [&](KeyframeId id) { return sides.at(id).view; }, ranking);
 }
 
 std::vector<Verified> LoopDetector::candidates(const Snapshot& snapshot, KeyframeId keyframe,

@@ -112,29 +112,16 @@ struct Places {
 };
 
 /// What was found, by distance, then keyframe, then keypoint: written into place, not sorted.
-std::vector<Claim> ordered_claims(const Snapshot& snapshot, const Places& places,
-                                  std::span<const matching::ProjectionMatches> found,
+std::vector<Claim> ordered_claims(const Places& places, const matching::MatchLists& found,
                                   const map::LandmarkArrays& cloud) {
   std::array<std::size_t, 258> next{};  // first place of each distance
-  for (const matching::ProjectionMatches& f : found)
-    for (std::size_t i = 0; i < cloud.size(); ++i)
-      next[f.distance[i] + 1u] += f.keypoint[i] != matching::kNoMatch;
+  for (const matching::KeypointMatch& m : found.matches) ++next[m.distance + 1u];
   for (std::size_t d = 1; d < next.size(); ++d) next[d] += next[d - 1];
   std::vector<Claim> claims(next.back());
-  std::vector<std::int32_t> landmark_at;  // of one keyframe, [keypoints]
-  for (std::uint32_t k = 0; k < places.keyframes.size(); ++k) {
-    if (places.searched[k] == found.size()) continue;
-    const matching::ProjectionMatches& f = found[places.searched[k]];
-    landmark_at.assign(snapshot.keyframe(places.keyframes[k]).landmarks.size(), -1);
-    for (std::size_t i = 0; i < cloud.size(); ++i)
-      if (f.keypoint[i] != matching::kNoMatch)
-        landmark_at[static_cast<std::size_t>(f.keypoint[i])] = static_cast<std::int32_t>(i);
-    for (std::uint32_t p = 0; p < landmark_at.size(); ++p) {
-      if (landmark_at[p] < 0) continue;
-      const auto i = static_cast<std::size_t>(landmark_at[p]);
-      claims[next[f.distance[i]]++] = {k, p, cloud.ids[i]};
-    }
-  }
+  for (std::uint32_t k = 0; k < places.keyframes.size(); ++k)
+    if (places.searched[k] < found.size())
+      for (const matching::KeypointMatch& m : found[places.searched[k]])
+        claims[next[m.distance]++] = {k, m.keypoint, cloud.ids[m.landmark]};
   return claims;
 }
 
@@ -164,9 +151,10 @@ Fusion fuse_loop(const StepExecutors& executors, const Snapshot& snapshot, const
                  const map::LandmarkArrays& cloud) {
   if (executors.reference())
     return fuse_loop_reference(snapshot, options, match, moved, cloud);
-  const std::vector<matching::ProjectionMatches> found =
-      search_keyframes(executors, snapshot, moved, cloud, options.fusion_radius_px,
-                       options.fusion_max_distance);
+  const PlaceSearch place{&cloud, moved, nullptr};
+  const matching::MatchLists found =
+      find_in_keyframes(executors, snapshot, {&place, 1}, options.fusion_radius_px,
+                        options.fusion_max_distance);
   const Places places(snapshot, match.current, moved);
   Groups groups(snapshot, 4 * cloud.size());
   std::vector<std::uint8_t> taken(places.keypoints, 0);
@@ -191,7 +179,7 @@ Fusion fuse_loop(const StepExecutors& executors, const Snapshot& snapshot, const
       places.keyframes.begin());
   for (std::uint32_t i = 0; i < match.landmarks.size(); ++i)
     if (match.landmarks[i].valid()) take({current, i, match.landmarks[i]});
-  for (const Claim& c : ordered_claims(snapshot, places, found, cloud)) take(c);
+  for (const Claim& c : ordered_claims(places, found, cloud)) take(c);
   name_winners(groups, fusion);
   return fusion;
 }

@@ -69,8 +69,9 @@ Problem problem_of(const LoopMap& loop, unsigned seed) {
   p.cloud = map::LandmarkArrays(m, ids);
   const SE3 T_camera_world = jolted(loop.true_camera(current), jolt, rng);
   const MovedKeyframe one{current, T_camera_world};
-  const auto found = search_keyframes(Executor::reference(), m, {&one, 1}, p.cloud, 8, 75);
-  p.match = make_region_match(m, current, matched, T_camera_world, p.cloud, found.front());
+  const PlaceSearch place{&p.cloud, {&one, 1}, nullptr};
+  const auto found = find_in_keyframes(Executor::reference(), m, {&place, 1}, 8, 75);
+  p.match = make_region_match(m, current, matched, T_camera_world, p.cloud, found[0]);
   // Confirmed matches that contradict what is found: anything may be claimed.
   if (seed % 4 == 2 && !ids.empty())
     for (LandmarkId& l : p.match.landmarks)

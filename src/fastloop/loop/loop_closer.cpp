@@ -28,9 +28,9 @@ void LoopCloser::forget_removed(const map::Snapshot& snapshot, KeyframeId newest
 
 void LoopCloser::add(const map::Snapshot& snapshot, KeyframeId keyframe) {
   if (!snapshot.contains(keyframe) || database_.words(keyframe)) return;
-  database_.insert(keyframe,
-                   database_.words_of(snapshot.keyframe(keyframe).data->features->descriptors,
-                                      executors_.host()));
+  const auto& features = snapshot.keyframe(keyframe).data->features;
+  matching::make_resident(executors_.device(), features);
+  database_.insert(keyframe, database_.words_of(features->descriptors, executors_.host()));
 }
 
 void LoopCloser::add_all(const map::Snapshot& snapshot) {
@@ -43,7 +43,10 @@ void LoopCloser::add_all(const map::Snapshot& snapshot) {
       words[begin] =
           database_.words_of(snapshot.keyframe(ids[begin]).data->features->descriptors);
   });
-  for (std::size_t i = 0; i < ids.size(); ++i) database_.insert(ids[i], std::move(words[i]));
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    matching::make_resident(executors_.device(), snapshot.keyframe(ids[i]).data->features);
+    database_.insert(ids[i], std::move(words[i]));
+  }
 }
 
 void LoopCloser::forget(KeyframeId keyframe) {

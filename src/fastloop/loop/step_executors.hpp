@@ -22,6 +22,8 @@ class StepExecutors {
   }
   /// For loops that have no device version.
   const Executor& host() const { return host_; }
+  /// The one that may have a device.
+  const Executor& device() const { return device_; }
   /// Whether of() depends on the work.
   bool choosing() const { return choosing_; }
   bool reference() const { return host_.sequential(); }

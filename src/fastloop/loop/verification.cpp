@@ -18,10 +18,12 @@ struct Verifier::Hypothesis {
   std::vector<KeyframeId> window;
   std::vector<LandmarkPair> pairs;  ///< matched by descriptor, then by projection
   LandmarkArrays cloud;
+  std::shared_ptr<const matching::ResidentLandmarks> resident;  ///< the cloud on the device
   SE3 T_camera_world;
-  matching::ProjectionMatches found;  ///< of the cloud in the current keyframe
+  std::vector<matching::KeypointMatch> found;  ///< of the cloud in the current keyframe, by landmark
 
   bool alive() const { return out != nullptr; }
+  int count() const { return static_cast<int>(found.size()); }
   /// Notes a comparison; the hypothesis ends when it fails.
   bool gate(const char* name, double value, double threshold, bool passed) {
     out->report.gates.push_back({name, value, threshold, passed});
@@ -41,28 +43,37 @@ std::vector<KeyframeId> window_of(const Snapshot& snapshot, KeyframeId keyframe,
   return window;
 }
 
-matching::ProjectionMatches Verifier::search(const Snapshot& snapshot, KeyframeId target,
-                                             const SE3& T_camera_world,
-                                             const LandmarkArrays& cloud, float radius_px,
-                                             int max_distance) const {
-  const MovedKeyframe one{target, T_camera_world};
-  return std::move(
-      search_keyframes(executors_, snapshot, {&one, 1}, cloud, radius_px, max_distance).front());
+void Verifier::search(const Snapshot& snapshot, KeyframeId current,
+                      std::span<Hypothesis> hypotheses, float radius_px, int max_distance) const {
+  std::vector<Hypothesis*> alive;
+  for (Hypothesis& h : hypotheses)
+    if (h.alive()) alive.push_back(&h);
+  std::vector<MovedKeyframe> moved;
+  for (const Hypothesis* h : alive) moved.push_back({current, h->T_camera_world});
+  std::vector<PlaceSearch> places;
+  for (std::size_t i = 0; i < alive.size(); ++i)
+    places.push_back({&alive[i]->cloud, {&moved[i], 1}, &alive[i]->resident});
+  const matching::MatchLists found =
+      find_in_keyframes(executors_, snapshot, places, radius_px, max_distance);
+  for (std::size_t i = 0; i < alive.size(); ++i) {
+    alive[i]->found.assign(found[i].begin(), found[i].end());
+    std::sort(alive[i]->found.begin(), alive[i]->found.end(),
+              [](const auto& a, const auto& b) { return a.landmark < b.landmark; });
+  }
 }
 
 void Verifier::match_windows(const Snapshot& snapshot, KeyframeId current,
                              const place::PlaceDatabase& database,
                              std::span<Hypothesis> hypotheses) const {
-  struct Job {
-    std::size_t hypothesis;
-    KeyframeId keyframe;
-    std::vector<std::int32_t> matches;
-  };
-  std::vector<Job> jobs;
-  for (std::size_t h = 0; h < hypotheses.size(); ++h)
-    if (hypotheses[h].alive())
-      for (const KeyframeId id : hypotheses[h].window) jobs.push_back({h, id, {}});
-
+  // Windows of candidates that lie side by side overlap: each keyframe is matched once. The
+  // published method matches it for every candidate.
+  std::vector<KeyframeId> images;
+  for (const Hypothesis& h : hypotheses)
+    if (h.alive()) images.insert(images.end(), h.window.begin(), h.window.end());
+  if (!executors_.reference()) {
+    std::sort(images.begin(), images.end());
+    images.erase(std::unique(images.begin(), images.end()), images.end());
+  }
   const place::PlaceDatabase::Words words = database.words(current);
   const std::vector<std::uint8_t> blocked = keypoints_without_landmark(snapshot, current);
   const matching::MatchSide query{snapshot.keyframe(current).data->features.get(),
@@ -70,23 +81,32 @@ void Verifier::match_windows(const Snapshot& snapshot, KeyframeId current,
   matching::DescriptorMatchOptions rule;
   rule.max_distance = options_.max_match_distance;
   rule.best_to_second = options_.match_ratio;
-  executors_.host().for_ranges(jobs.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (; begin < end; ++begin) {
-      Job& job = jobs[begin];
-      const place::PlaceDatabase::Words other = database.words(job.keyframe);
-      const std::vector<std::uint8_t> mask = keypoints_without_landmark(snapshot, job.keyframe);
-      job.matches = matching::match_descriptors(
-          executors_.host(), query,
-          {snapshot.keyframe(job.keyframe).data->features.get(), other ? &other->groups : nullptr,
-           mask},
-          rule);
+  std::vector<std::vector<std::uint8_t>> masks(images.size());
+  std::vector<place::PlaceDatabase::Words> groups(images.size());
+  std::vector<matching::MatchSide> sides(images.size());
+  executors_.host().for_ranges(images.size(), 4, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      masks[i] = keypoints_without_landmark(snapshot, images[i]);
+      groups[i] = database.words(images[i]);
+      sides[i] = {snapshot.keyframe(images[i]).data->features.get(),
+                  groups[i] ? &groups[i]->groups : nullptr, masks[i]};
     }
   });
-  for (std::size_t j = 0; j < jobs.size();) {
-    Hypothesis& h = hypotheses[jobs[j].hypothesis];
+  const auto work = static_cast<double>(query.features->size() * images.size());
+  const auto matches = matching::match_descriptors(executors_.of(Step::kDescriptors, work), query,
+                                                   sides, rule);
+  std::size_t next = 0;  // image of the reference
+  for (Hypothesis& h : hypotheses) {
+    if (!h.alive()) continue;
     PairCollector collector(snapshot, current);
-    for (const std::size_t of = jobs[j].hypothesis; j < jobs.size() && jobs[j].hypothesis == of; ++j)
-      collector.add(jobs[j].keyframe, jobs[j].matches);
+    for (const KeyframeId id : h.window) {
+      const std::size_t at =
+          executors_.reference()
+              ? next++
+              : static_cast<std::size_t>(std::lower_bound(images.begin(), images.end(), id) -
+                                         images.begin());
+      collector.add(id, matches[at]);
+    }
     h.pairs = collector.take();
     const int n = static_cast<int>(h.pairs.size());
     h.gate("descriptor matches", n, options_.min_matches, n >= options_.min_matches);
@@ -132,42 +152,74 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
   return true;
 }
 
-void Verifier::guide(const Snapshot& snapshot, KeyframeId current, Hypothesis& h) const {
+/// Goes through [PS2a], refinement and [PS2b] with all candidates side by side.
+void Verifier::guide(const Snapshot& snapshot, KeyframeId current,
+                     std::span<Hypothesis> hypotheses) const {
   const LoopOptions& o = options_;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
-  h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.wide_radius_px,
-                   o.wide_max_distance);
-  if (!h.gate("wide projection matches", h.found.count, o.min_wide_matches,
-              h.found.count >= o.min_wide_matches))
-    return;
-  if (!refine(snapshot, current, h, o.min_refined_inliers)) return;
-  h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.narrow_radius_px,
-                   o.narrow_max_distance);
-  h.gate("narrow projection matches", h.found.count, o.min_narrow_matches,
-         h.found.count >= o.min_narrow_matches);
+  executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (; begin < end; ++begin)
+      if (Hypothesis& h = hypotheses[begin]; h.alive())
+        h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
+  });
+  search(snapshot, current, hypotheses, o.wide_radius_px, o.wide_max_distance);
+  executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
+    for (; begin < end; ++begin)
+      if (Hypothesis& h = hypotheses[begin];
+          h.alive() && h.gate("wide projection matches", h.count(), o.min_wide_matches,
+                              h.count() >= o.min_wide_matches))
+        refine(snapshot, current, h, o.min_refined_inliers);
+  });
+  search(snapshot, current, hypotheses, o.narrow_radius_px, o.narrow_max_distance);
+  for (Hypothesis& h : hypotheses)
+    if (h.alive() && h.gate("narrow projection matches", h.count(), o.min_narrow_matches,
+                            h.count() >= o.min_narrow_matches))
+      h.out->match =
+          make_region_match(snapshot, current, h.window.front(), h.T_camera_world, h.cloud, h.found);
 }
 
-void Verifier::confirm(const Snapshot& snapshot, KeyframeId current, Hypothesis& h) const {
+void Verifier::confirm(const Snapshot& snapshot, KeyframeId current,
+                       std::span<Hypothesis> hypotheses) const {
   const LoopOptions& o = options_;
   const SE3 T_world_current = snapshot.T_world_camera(current);
   const std::vector<KeyframeId> others =
       snapshot.best_covisible(current, o.window_covisibles, o.min_connection);
-  // As many keyframes at a time as confirmations are missing: they are searched in one go.
-  int agreed = 0;
-  for (std::size_t next = 0; next < others.size() && agreed < o.confirmations;) {
-    const std::size_t n = std::min(others.size() - next,
-                                   static_cast<std::size_t>(o.confirmations - agreed));
+  struct Progress {
+    Hypothesis* of;
+    std::size_t next = 0;  ///< in `others`
+    int agreed = 0;
     std::vector<MovedKeyframe> moved;
-    for (std::size_t i = next; i < next + n; ++i)
-      moved.push_back({others[i], snapshot.T_world_camera(others[i]).inverse() * T_world_current *
-                                      h.T_camera_world});
-    const auto found = search_keyframes(executors_, snapshot, moved, h.cloud, o.covisible_radius_px,
-                                        o.covisible_max_distance);
-    for (const auto& f : found) agreed += f.count >= o.min_covisible_matches;
-    next += n;
+  };
+  std::vector<Progress> all;
+  for (Hypothesis& h : hypotheses)
+    if (h.alive()) all.push_back({&h, 0, 0, {}});
+  // As many keyframes at a time as confirmations are missing: they are searched in one go.
+  for (bool searched = true; searched;) {
+    std::vector<PlaceSearch> places;
+    for (Progress& p : all) {
+      const std::size_t n =
+          p.agreed < o.confirmations
+              ? std::min(others.size() - p.next, static_cast<std::size_t>(o.confirmations - p.agreed))
+              : 0;
+      p.moved.clear();
+      for (std::size_t i = p.next; i < p.next + n; ++i)
+        p.moved.push_back({others[i], snapshot.T_world_camera(others[i]).inverse() *
+                                          T_world_current * p.of->T_camera_world});
+      p.next += n;
+      if (n > 0) places.push_back({&p.of->cloud, p.moved, &p.of->resident});
+    }
+    searched = !places.empty();
+    if (!searched) break;
+    const matching::MatchLists found = find_in_keyframes(
+        executors_, snapshot, places, o.covisible_radius_px, o.covisible_max_distance);
+    std::size_t list = 0;
+    for (Progress& p : all)
+      for (std::size_t i = 0; i < p.moved.size(); ++i)
+        p.agreed += static_cast<int>(found[list++].size()) >= o.min_covisible_matches;
   }
-  h.out->confirmations = agreed;
-  if (!h.gate("confirming covisible keyframes", agreed, 1, agreed >= 1)) return;
+  for (const Progress& p : all) {
+    p.of->out->confirmations = p.agreed;
+    p.of->gate("confirming covisible keyframes", p.agreed, 1, p.agreed >= 1);
+  }
 }
 
 void Verifier::verify(const Snapshot& snapshot, KeyframeId current,
@@ -188,15 +240,8 @@ void Verifier::verify(const Snapshot& snapshot, KeyframeId current,
   clock.lap("descriptor_matching");
   solve_similarities(snapshot, current, hypotheses);
   clock.lap("similarity");
-  executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (; begin < end; ++begin) {
-      Hypothesis& h = hypotheses[begin];
-      if (h.alive()) guide(snapshot, current, h);
-      if (h.alive()) h.out->match = make_region_match(snapshot, current, h.window.front(),
-                                                      h.T_camera_world, h.cloud, h.found);
-      if (h.alive()) confirm(snapshot, current, h);
-    }
-  });
+  guide(snapshot, current, hypotheses);
+  confirm(snapshot, current, hypotheses);
   clock.lap("projection_searches");
 }
 
@@ -219,15 +264,13 @@ Verified Verifier::recheck(const Snapshot& snapshot, KeyframeId current, Keyfram
   }
   h.T_camera_world = predicted_T_camera_world;
   h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
-  h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.covisible_radius_px,
-                   o.covisible_max_distance);
-  if (h.gate("projection matches", h.found.count, o.min_covisible_matches,
-             h.found.count >= o.min_covisible_matches) &&
+  search(snapshot, current, {&h, 1}, o.covisible_radius_px, o.covisible_max_distance);
+  if (h.gate("projection matches", h.count(), o.min_covisible_matches,
+             h.count() >= o.min_covisible_matches) &&
       refine(snapshot, current, h, o.min_recheck_inliers + 1)) {
-    h.found = search(snapshot, current, h.T_camera_world, h.cloud, o.covisible_radius_px,
-                     o.covisible_max_distance);
-    if (h.gate("projection matches after refinement", h.found.count, o.min_recheck_matches,
-               h.found.count >= o.min_recheck_matches)) {
+    search(snapshot, current, {&h, 1}, o.covisible_radius_px, o.covisible_max_distance);
+    if (h.gate("projection matches after refinement", h.count(), o.min_recheck_matches,
+               h.count() >= o.min_recheck_matches)) {
       verified.confirmations = 1;
       verified.match =
           make_region_match(snapshot, current, matched, h.T_camera_world, h.cloud, h.found);

@@ -44,12 +44,12 @@ class Verifier {
   void match_windows(const map::Snapshot&, KeyframeId current, const place::PlaceDatabase&,
                      std::span<Hypothesis>) const;
   void solve_similarities(const map::Snapshot&, KeyframeId current, std::span<Hypothesis>) const;
-  void guide(const map::Snapshot&, KeyframeId current, Hypothesis&) const;
-  void confirm(const map::Snapshot&, KeyframeId current, Hypothesis&) const;
+  void guide(const map::Snapshot&, KeyframeId current, std::span<Hypothesis>) const;
+  void confirm(const map::Snapshot&, KeyframeId current, std::span<Hypothesis>) const;
   bool refine(const map::Snapshot&, KeyframeId current, Hypothesis&, int min_inliers) const;
-  matching::ProjectionMatches search(const map::Snapshot&, KeyframeId target,
-                                     const SE3& T_camera_world, const map::LandmarkArrays& cloud,
-                                     float radius_px, int max_distance) const;
+  /// Searches the cloud of every living candidate in the current keyframe.
+  void search(const map::Snapshot&, KeyframeId current, std::span<Hypothesis>, float radius_px,
+              int max_distance) const;
 
   LoopOptions options_;
   StepExecutors executors_;
