@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "commands.hpp"
+#include "doctor_cuda.hpp"
 #include "fastloop/core/error.hpp"
 #include "fastloop/io/dataset.hpp"
 #include "machine.hpp"
@@ -64,7 +65,6 @@ void print_versions() {
   print_row("OpenCV", CV_VERSION);
   print_row("Ceres", CERES_VERSION_STRING);
   print_row("oneTBB", TBB_runtime_version());
-  print_row("CUDA", "not compiled in");
 }
 
 void print_machine() {
@@ -131,11 +131,14 @@ void print_dataset(const std::string& folder, const std::string& calibration_fil
 
 struct DoctorArguments {
   std::string dataset, calibration, output;
+  bool calibrate = false;
 };
 
 int run_doctor(const DoctorArguments& arguments) {
   print_versions();
   print_machine();
+  if (arguments.calibrate) calibrate_costs();
+  print_cuda();
   const bool writable = arguments.output.empty() || check_writable(arguments.output);
   if (!arguments.dataset.empty()) print_dataset(arguments.dataset, arguments.calibration);
   return writable ? kExitOk : kExitBadInput;
@@ -152,6 +155,8 @@ void add_doctor_command(CLI::App& app, int& exit_code) {
   command->add_option("--calib", arguments->calibration,
                       "Calibration file that replaces the data set's own");
   command->add_option("--out", arguments->output, "Also check that this folder can be written");
+  command->add_flag("--calibrate", arguments->calibrate,
+                    "Also measure when the GPU is worth the trip, for --backend auto, and store it");
   command->footer("Example: fastloop doctor V1_01_easy --out results");
   command->callback([arguments, &exit_code] { exit_code = run_doctor(*arguments); });
 }
