@@ -24,6 +24,7 @@ struct PoseGraphArguments {
 
 PoseGraphSolverKind solver_named(const std::string& name) {
   if (name == "ceres") return PoseGraphSolverKind::kCeres;
+  if (name == "cuda") return PoseGraphSolverKind::kCuda;
   return name == "reference" ? PoseGraphSolverKind::kReference : PoseGraphSolverKind::kBlock;
 }
 
@@ -102,8 +103,9 @@ void add_posegraph_command(CLI::App& app, int& exit_code) {
   auto a = std::make_shared<PoseGraphArguments>();
   CLI::App* command = app.add_subcommand("posegraph", "Optimise a pose graph in a g2o file");
   command->add_option("file", a->file, "g2o file with SE2, SE3:QUAT or SIM3 lines")->required();
-  command->add_option("--solver", a->solver, "block (ours), ceres, or reference (the published way)")
-      ->check(CLI::IsMember({"block", "ceres", "reference"}))
+  command->add_option("--solver", a->solver,
+                      "block (ours), cuda (ours on the GPU), ceres, or reference (the published way)")
+      ->check(CLI::IsMember({"block", "cuda", "ceres", "reference"}))
       ->capture_default_str();
   command->add_option("--dof", a->dof, "4 (yaw and translation), 6 (SE3) or 7 (Sim3); default: as the file")
       ->check(CLI::IsMember({4, 6, 7}));

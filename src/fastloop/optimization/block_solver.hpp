@@ -1,10 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "fastloop/optimization/block_passes.hpp"
 #include "fastloop/optimization/pose_graph_check.hpp"
+#include "fastloop/optimization/pose_graph_device.hpp"
 
 namespace fastloop::optimization {
 
@@ -16,6 +18,11 @@ class PoseGraphPlan::Impl {
   ~Impl();
 
   void solve(PoseGraphProblem& problem, const PoseGraphOptions& options, PoseGraphResult& result);
+  /// The same on the CUDA device; false where that cannot be, with the problem as it was.
+  bool solve_on_device(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                       PoseGraphResult& result) {
+    return device::solve_on_device(device_, problem, options, result);
+  }
   /// Other kernels than the widest this machine runs.
   void use_kernels(const block::KernelSet& set) { kernel_set_ = &set; }
 
@@ -97,6 +104,7 @@ class PoseGraphPlan::Impl {
   const block::KernelSet* kernel_set_;
   block::ModelKernels kernels_;
   block::Passes passes_;
+  std::unique_ptr<device::Solver> device_;  // from the first call that asks for it
 };
 
 }  // namespace fastloop::optimization

@@ -21,7 +21,7 @@ void reset(PoseGraphResult& result) {
   result.iterations = result.factorizations = result.components = result.anchored = 0;
   result.cost_history.clear();
   result.rejected.clear();
-  result.plan_reused = result.plan_extended = false;
+  result.plan_reused = result.plan_extended = result.on_device = false;
   result.times = PoseGraphTimes();
 }
 
@@ -39,13 +39,15 @@ void solve_pose_graph(PoseGraphProblem& problem, const PoseGraphOptions& options
   }
   switch (options.solver) {
     case PoseGraphSolverKind::kBlock:
-      if (plan != nullptr) {
-        plan->impl().solve(problem, options, result);
-      } else {
-        PoseGraphPlan temporary;
-        temporary.impl().solve(problem, options, result);
-      }
+    case PoseGraphSolverKind::kCuda: {
+      std::optional<PoseGraphPlan> temporary;
+      if (plan == nullptr) plan = &temporary.emplace();
+      const bool cuda = options.solver == PoseGraphSolverKind::kCuda;
+      if (cuda && plan->impl().solve_on_device(problem, options, result)) break;
+      reset(result);
+      plan->impl().solve(problem, options, result);
       break;
+    }
     case PoseGraphSolverKind::kCeres:
       solve_with_ceres(problem, options, result);
       break;
@@ -95,6 +97,8 @@ std::string_view to_string(PoseGraphSolverKind solver) {
       return "block";
     case PoseGraphSolverKind::kCeres:
       return "ceres";
+    case PoseGraphSolverKind::kCuda:
+      return "cuda";
     case PoseGraphSolverKind::kReference:
       break;
   }

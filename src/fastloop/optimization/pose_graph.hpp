@@ -29,6 +29,7 @@ enum class PoseGraphSolverKind : int {
   kBlock,      ///< ours: analytic Jacobians, block multifrontal Cholesky
   kCeres,      ///< the same residuals and Jacobians in Ceres with SPARSE_NORMAL_CHOLESKY
   kReference,  ///< the published way: central differences, Levenberg-Marquardt, scalar sparse LDLT
+  kCuda,       ///< as kBlock, on the CUDA device; where there is none, or it fails, kBlock
 };
 
 struct PoseGraphEdge {
@@ -112,6 +113,7 @@ struct PoseGraphResult {
   int anchored = 0;                  ///< vertices held because their component had no fixed vertex
   std::vector<int> rejected;         ///< indices of rejected edges, ascending
   bool plan_reused = false, plan_extended = false;
+  bool on_device = false;  ///< computed there; false as well where kCuda fell back to kBlock
   PoseGraphTimes times;
   bool usable() const { return status != PoseGraphStatus::kInvalidProblem; }
 };

@@ -1,0 +1,263 @@
+#include "fastloop/optimization/pose_graph_device.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "fastloop/core/logging.hpp"
+#include "fastloop/core/time.hpp"
+#include "fastloop/optimization/pose_graph_device_math.hpp"
+#include "fastloop/optimization/pose_graph_iteration.hpp"
+#include "fastloop/optimization/pose_graph_residual.hpp"
+
+namespace fastloop::optimization::device {
+namespace {
+
+block::EdgeModel model_of(const PoseGraphProblem& problem) {
+  switch (problem.kind) {
+    case PoseGraphKind::kYaw:
+      return block::EdgeModel::kYaw;
+    case PoseGraphKind::kSe3:
+      return block::EdgeModel::kSe3;
+    case PoseGraphKind::kSim3:
+      break;
+  }
+  return problem.fixed_scale ? block::EdgeModel::kSim3FixedScale : block::EdgeModel::kSim3;
+}
+
+bool fixed_at(const PoseGraphProblem& problem, std::size_t i) {
+  return !problem.fixed.empty() && problem.fixed[i] != 0;
+}
+
+void put(const Sim3& pose, double* p) {
+  p[0] = pose.rotation.x();
+  p[1] = pose.rotation.y();
+  p[2] = pose.rotation.z();
+  p[3] = pose.rotation.w();
+  p[4] = pose.translation.x();
+  p[5] = pose.translation.y();
+  p[6] = pose.translation.z();
+  p[7] = pose.scale;
+}
+
+/// Vertices of a leaf: more means fewer levels and more arithmetic.
+int leaf_size(int block_size) {
+  return block_size == 4 ? 16 : 12;
+}
+
+double damping_scale(const PoseGraphProblem& problem) {
+  const int size = residual_size(problem.kind);
+  double largest = 0;
+  for (const PoseGraphInformation& w : problem.information)
+    largest = std::max(largest, w.diagonal().head(size).maxCoeff());
+  const double edges_per_vertex =
+      2.0 * static_cast<double>(problem.edges.size()) /
+      static_cast<double>(std::max<std::size_t>(1, problem.poses.size()));
+  return std::max(largest * edges_per_vertex, 1e-12);
+}
+
+}  // namespace
+
+/// What the iteration asks for, from an executor that gives the cost with the step.
+class Solver::Steps {
+ public:
+  Steps(StepExecutor& executor, bool unknowns, double initial_cost, PoseGraphResult& result)
+      : executor_(executor), unknowns_(unknowns), initial_cost_(initial_cost), result_(result) {}
+
+  bool has_unknowns() const { return unknowns_; }
+  double initial_cost() const { return initial_cost_; }
+  bool factor(double lambda, double& expected) {
+    const Stopwatch watch;
+    last_ = executor_.factor_step(lambda);
+    result_.times.factor_ms += watch.elapsed_ms();
+    expected = 0.5 * last_.squared_norm;
+    return last_.positive_definite != 0;
+  }
+  double refine() {
+    const Stopwatch watch;
+    last_ = executor_.old_factor_step();
+    result_.times.solve_ms += watch.elapsed_ms();
+    return 0.5 * last_.squared_norm;
+  }
+  double candidate_cost() const { return last_.cost; }
+  void accept() { executor_.accept(); }
+
+ private:
+  StepExecutor& executor_;
+  bool unknowns_;
+  double initial_cost_;
+  PoseGraphResult& result_;
+  StepResult last_{};
+};
+
+bool Solver::same_structure(const PoseGraphProblem& problem) const {
+  if (num_poses_ != static_cast<int>(problem.poses.size()) || model_ != model_of(problem) ||
+      ends_.size() != 2 * problem.edges.size())
+    return false;
+  for (int i = 0; i < num_poses_; ++i)
+    if (fixed_at(problem, i) != (fixed_[i] != 0)) return false;
+  bool same = true;
+  for (std::size_t k = 0; k < problem.edges.size() && same; ++k) {
+    const PoseGraphEdge& e = problem.edges[k];
+    same = ends_[2 * k] == e.from && ends_[2 * k + 1] == e.to &&
+           zero_matrix_[e.information] == zero_edge_[k];
+  }
+  return same;
+}
+
+void Solver::prepare(const PoseGraphProblem& problem, PoseGraphResult& result) {
+  zero_matrix_.resize(problem.information.size());
+  for (std::size_t k = 0; k < zero_matrix_.size(); ++k)
+    zero_matrix_[k] = is_zero_information(problem, problem.information[k]);
+  result.plan_reused = same_structure(problem);
+  if (!result.plan_reused) {
+    Stopwatch watch;
+    num_poses_ = -1;  // nothing is kept if something fails below
+    kind_ = problem.kind;
+    model_ = model_of(problem);
+    const int n = static_cast<int>(problem.poses.size());
+    fixed_.resize(problem.poses.size());
+    for (int i = 0; i < n; ++i) fixed_[i] = fixed_at(problem, i);
+    ends_.resize(2 * problem.edges.size());
+    zero_edge_.resize(problem.edges.size());
+    for (std::size_t k = 0; k < problem.edges.size(); ++k) {
+      ends_[2 * k] = problem.edges[k].from;
+      ends_[2 * k + 1] = problem.edges[k].to;
+      zero_edge_[k] = zero_matrix_[problem.edges[k].information];
+    }
+    find_held_vertices(problem, held_);
+    free_index_.assign(n, -1);
+    free_pose_.clear();
+    for (int i = 0; i < n; ++i) {
+      if (held_.held[i]) continue;
+      free_index_[i] = static_cast<int>(free_pose_.size());
+      free_pose_.push_back(i);
+    }
+    std::vector<int> free_ends;
+    free_ends.reserve(ends_.size());
+    for (std::size_t k = 0; k < ends_.size(); k += 2) {
+      const int a = free_index_[ends_[k]], b = free_index_[ends_[k + 1]];
+      if (a < 0 || b < 0) continue;
+      free_ends.push_back(a);
+      free_ends.push_back(b);
+    }
+    const int block_size = tangent_size(problem.kind, problem.fixed_scale);
+    block::Graph graph;
+    block::build_graph(static_cast<int>(free_pose_.size()), free_ends, graph);
+    result.times.symbolic_ms += watch.elapsed_ms();
+    watch.restart();
+    const Dissection dissection = dissect(graph, leaf_size(block_size));
+    result.times.ordering_ms += watch.elapsed_ms();
+    watch.restart();
+    build_schedule({block_size, n, &ends_, &free_index_, &free_pose_}, graph, dissection,
+                   executor_->max_shared_doubles(), schedule_);
+    executor_->set_schedule(schedule_, model_);
+    num_poses_ = n;
+    result.times.symbolic_ms += watch.elapsed_ms();
+  }
+  result.components = held_.components;
+  result.anchored = held_.anchored;
+}
+
+void Solver::load(const PoseGraphProblem& problem, const PoseGraphOptions& options) {
+  numbers_ = executor_->stage(problem.edges.size(), problem.information.size());
+  const std::size_t n = problem.poses.size();
+  // The origin moves to the middle of the graph: derivatives contain positions, and large
+  // coordinates would cost digits.
+  origin_.setZero();
+  for (const Sim3& pose : problem.poses) origin_ += pose.translation;
+  if (n > 0) origin_ /= static_cast<double>(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    double* p = numbers_.poses + 8 * i;
+    put(problem.poses[i], p);
+    for (int k = 0; k < 3; ++k) p[4 + k] -= origin_[k];
+  }
+  for (std::size_t k = 0; k < problem.edges.size(); ++k) {
+    const PoseGraphEdge& e = problem.edges[k];
+    put(e.T_from_to, numbers_.measurement + 8 * k);
+    const bool robust = options.robust_on_all_edges || e.switchable;
+    numbers_.information[k] = 2 * e.information + (robust ? 1 : 0);
+  }
+  for (std::size_t k = 0; k < problem.information.size(); ++k)
+    for (int r = 0; r < 7; ++r)
+      for (int c = 0; c <= r; ++c)
+        numbers_.matrices[28 * k + packed(r, c)] = problem.information[k](r, c);
+  damping_scale_ = damping_scale(problem);
+}
+
+void Solver::store(PoseGraphProblem& problem) {
+  const double* p = executor_->poses();
+  for (std::size_t i = 0; i < problem.poses.size(); ++i, p += 8) {
+    if (free_index_[i] < 0) continue;
+    Sim3& pose = problem.poses[i];
+    pose.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
+    pose.translation = Vector3d(p[4], p[5], p[6]) + origin_;
+    pose.scale = p[7];
+  }
+}
+
+int Solver::reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result) {
+  std::vector<double> squared(problem.edges.size());
+  executor_->squared(squared);
+  for (std::size_t s = 0; s < squared.size(); ++s) {
+    const int edge = schedule_.edge_of_slot[s];
+    if (!problem.edges[edge].switchable || squared[s] <= gate) continue;
+    result.rejected.push_back(edge);
+    numbers_.information[edge] = -1;
+  }
+  std::sort(result.rejected.begin(), result.rejected.end());
+  return static_cast<int>(result.rejected.size());
+}
+
+void Solver::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,
+                   PoseGraphResult& result) {
+  const auto lock = executor_->lock();
+  prepare(problem, result);
+  Stopwatch watch;
+  load(problem, options);
+  double cost = executor_->start(static_cast<int>(options.robust_kernel), options.robust_width);
+  result.times.update_ms += watch.elapsed_ms();
+  const bool unknowns = !free_pose_.empty();
+  IterationRule rule;
+  rule.damping_scale = damping_scale_;
+  rule.floor = 1e-24 * damping_scale_ * static_cast<double>(problem.edges.size());
+  const auto iterate = [&] {
+    Steps steps(*executor_, unknowns, cost, result);
+    PoseGraphIteration<Steps>(steps, rule, options, result).run();
+  };
+  iterate();
+  if (std::isfinite(options.rejection_gate) &&
+      reject_outliers(problem, options.rejection_gate, result) > 0) {
+    cost = executor_->restart(0);
+    iterate();
+  }
+  result.initial_cost = result.cost_history.front();
+  watch.restart();
+  store(problem);
+  result.times.update_ms += watch.elapsed_ms();
+}
+
+bool solve_on_device(std::unique_ptr<Solver>& kept, PoseGraphProblem& problem,
+                     const PoseGraphOptions& options, PoseGraphResult& result) {
+  std::unique_ptr<StepExecutor> executor;
+  if (!kept) {
+    try {
+      executor = make_cuda_executor();
+    } catch (const std::runtime_error& e) {
+      logger("pose graph").warn("the device is not used: {}", e.what());
+    }
+    if (!executor) return false;
+    kept = std::make_unique<Solver>(std::move(executor));
+  }
+  try {
+    kept->solve(problem, options, result);
+    result.on_device = true;
+    return true;
+  } catch (const std::runtime_error& e) {
+    kept->report_failure(e.what());
+    kept.reset();
+  }
+  return false;
+}
+
+}  // namespace fastloop::optimization::device

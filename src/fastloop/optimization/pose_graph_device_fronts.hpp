@@ -1,0 +1,336 @@
+#pragma once
+
+#include "fastloop/optimization/pose_graph_device_dense.hpp"
+
+/// What a team does for one front or one tile: gathering from edges and children, elimination, the
+/// two substitutions. Everything is gathered in a fixed order, nothing is added by atomics, so that
+/// results repeat bit by bit.
+namespace fastloop::optimization::device {
+
+FASTLOOP_HD inline int front_rows(const Front& f, int block_size) {
+  return (f.pivots + f.below) * block_size + 1;
+}
+FASTLOOP_HD inline int even(int n) {
+  return (n + 1) / 2 * 2;
+}
+
+/// Doubles of shared memory that a front needs as one task: the matrix, and the rows of one child.
+FASTLOOP_HD inline long long whole_front_doubles(const Front& f, int block_size) {
+  const int rows = even(front_rows(f, block_size));
+  return Trapezoid::doubles(rows, rows) + rows / 2 + 1;
+}
+/// The same for tiles.
+inline constexpr int kTileStride = kTileRows + 2;
+inline constexpr int kTileDepth = 16;
+inline constexpr int kTileDoubles = 2 * kTileStride * kTileRows;
+
+/// Normal equations of vertex `vertex` (elimination index): packed entry, or component
+/// `entry - kHessian` of the right-hand side.
+template <EdgeModel M>
+FASTLOOP_HD inline double vertex_sum(const View& v, int vertex, int entry) {
+  double sum = 0;
+  const int end = v.edges_begin[vertex + 1];
+  for (int k = v.edges_begin[vertex]; k < end; ++k) {
+    const int e = v.edges[k];
+    const double value = v.normal[static_cast<long long>(e >> 1) * Model<M>::kStride + entry];
+    sum += entry >= Model<M>::kHessian && (e & 1) ? -value : value;
+  }
+  return sum;
+}
+
+/// Row and column of a packed entry.
+FASTLOOP_HD inline void unpack(int entry, int& row, int& column) {
+  row = 0;
+  while ((row + 1) * (row + 2) / 2 <= entry) ++row;
+  column = entry - row * (row + 1) / 2;
+}
+
+/// Adds the edges of pivots [begin, end) of a front: diagonal blocks where `blocks`, and the
+/// right-hand side where rhs_row >= 0. Block k lies at column (k - begin) * D of `a` and at row
+/// (k - row_begin) * D.
+template <EdgeModel M, class Team, class Matrix>
+FASTLOOP_HD inline void add_vertices(const Team& team, const View& v, const Front& f,
+                                     const Matrix& a, int begin, int end, bool blocks,
+                                     int rhs_row) {
+  constexpr int kD = Model<M>::kTangent, kS = Model<M>::kStride, kH = Model<M>::kHessian;
+  for (int item = team.rank(); item < (end - begin) * kS; item += team.size()) {
+    const int k = item / kS, entry = item - k * kS, vertex = f.first + begin + k;
+    if (entry >= kH) {
+      if (rhs_row >= 0) a.column(k * kD + entry - kH)[rhs_row] += vertex_sum<M>(v, vertex, entry);
+      continue;
+    }
+    if (!blocks) continue;
+    int r, c;
+    unpack(entry, r, c);
+    double value = vertex_sum<M>(v, vertex, entry);
+    if (v.lambda > 0) value += v.lambda * damping_entry<M>(v.poses + 8 * v.pose_of[vertex], r, c);
+    a.column(k * kD + c)[k * kD + r] += value;
+  }
+}
+
+/// Subtracts the blocks of edges between two free vertices. Block (row, column) of the front lies
+/// at block (row - row0, column - column0) of `a`.
+template <EdgeModel M, class Team, class Matrix>
+FASTLOOP_HD inline void add_pairs(const Team& team, const View& v, const Matrix& a, int begin,
+                                  int end, int row0, int column0) {
+  constexpr int kD = Model<M>::kTangent;
+  for (int item = team.rank(); item < (end - begin) * kD * kD; item += team.size()) {
+    const int k = item / (kD * kD), entry = item - k * (kD * kD), c = entry / kD, r = entry % kD;
+    const Pair p = v.pairs[begin + k];
+    double sum = 0;
+    for (int slot = p.begin; slot < p.end; ++slot)
+      sum += v.normal[static_cast<long long>(slot) * Model<M>::kStride + packed(r, c)];
+    a.column((p.column - column0) * kD + c)[(p.row - row0) * kD + r] -= sum;
+  }
+}
+
+/// Waits until all children have handed over their update matrices.
+template <class Team>
+FASTLOOP_HD inline void wait_for_children(const Team& team, const View& v, const Front& f) {
+  for (int c = team.rank(); c < f.num_children; c += team.size()) {
+    const int child = v.children[f.children + c];
+    team.wait(v.front_done + child, v.fronts[child].tasks * v.factor_epoch);
+  }
+  team.sync();
+}
+
+/// Adds a child's update matrix. `target`: room for one number per row of it.
+template <int D, class Team, class Matrix>
+FASTLOOP_HD inline void add_child(const Team& team, const View& v, const Front& f,
+                                  const Front& child, const Matrix& a, std::int32_t* target) {
+  const int columns = child.below * D, rhs = (f.pivots + f.below) * D;
+  const std::int32_t* map = v.map + child.rows;
+  for (int r = team.rank(); r <= columns; r += team.size())
+    target[r] = r < columns ? map[r / D] * D + r % D : rhs;
+  team.sync();
+  const double* schur = v.schur + child.schur;
+  constexpr int kColumns = 4;  // at a time, so that several loads are on their way
+  for (int c0 = team.warp() * kColumns; c0 < columns; c0 += team.warps() * kColumns) {
+    for (int r = c0 + team.lane(); r <= columns; r += team.lanes()) {
+      double value[kColumns];
+      FASTLOOP_UNROLL
+      for (int k = 0; k < kColumns; ++k)
+        value[k] = c0 + k <= r && c0 + k < columns
+                       ? team.load(schur + static_cast<long long>(c0 + k) * child.schur_stride + r)
+                       : 0.0;
+      const int to = target[r];
+      FASTLOOP_UNROLL
+      for (int k = 0; k < kColumns; ++k)
+        if (c0 + k <= r && c0 + k < columns) a.column(target[c0 + k])[to] += value[k];
+    }
+  }
+  team.sync();
+}
+
+/// The part of the update matrix that the parent sees: C - L21 L21^T, straight to its place.
+template <class Team>
+FASTLOOP_HD inline void write_update(const Team& team, const View& v, const Front& f,
+                                     const Trapezoid& a, int pivots, int rows) {
+  double* schur = v.schur + f.schur;
+  for_lane_tiles(team, pivots / 2 * 2, rows - 1, rows, [&](const LaneTile& tile) {
+    double acc[4][4] = {};
+    multiply_tile(a, 0, pivots, rows, tile, acc);
+    FASTLOOP_UNROLL
+    for (int c = 0; c < 4; ++c) {
+      const int column = tile.column[c];
+      if (column < pivots || column >= rows - 1) continue;
+      const double* from = a.column(column);
+      double* to = schur + static_cast<long long>(column - pivots) * f.schur_stride - pivots;
+      FASTLOOP_UNROLL
+      for (int r = 0; r < 4; ++r)
+        if (tile.row[r] < rows && tile.row[r] >= column)
+          to[tile.row[r]] = from[tile.row[r]] - acc[c][r];
+    }
+  });
+}
+
+/// A front as one task.
+template <EdgeModel M, class Team>
+FASTLOOP_HD inline void factor_front(const Team& team, const View& v, int index, double* shared) {
+  constexpr int kD = Model<M>::kTangent;
+  const Front f = v.fronts[index];
+  const int pivots = f.pivots * kD, rows = front_rows(f, kD), padded = even(rows);
+  const Trapezoid a{shared, padded};
+  const int size = static_cast<int>(Trapezoid::doubles(padded, padded));
+  for (int k = team.rank(); k < size; k += team.size()) shared[k] = 0;
+  team.sync();
+  add_vertices<M>(team, v, f, a, 0, f.pivots, true, rows - 1);
+  add_pairs<M>(team, v, a, f.pairs_begin, f.pairs_end, 0, 0);
+  wait_for_children(team, v, f);
+  for (int c = 0; c < f.num_children; ++c)
+    add_child<kD>(team, v, f, v.fronts[v.children[f.children + c]], a,
+                  reinterpret_cast<std::int32_t*>(shared + size));
+  const bool ok = factor_columns(team, a, pivots, rows);
+  if (!ok && team.rank() == 0) *v.failed = v.factor_epoch;
+  if (f.below > 0) write_update(team, v, f, a, pivots, rows);
+  team.signal(v.front_done + index);
+  double* panel = v.panel + f.panel;
+  for (int c = team.warp(); c < pivots; c += team.warps()) {
+    const double* from = a.column(c);
+    double* to = panel + static_cast<long long>(c) * f.panel_stride;
+    for (int r = c + team.lane(); r < rows; r += team.lanes()) to[r] = from[r];
+  }
+}
+
+/// First block of tile t of a tiled front, and the block after its last.
+template <int D>
+FASTLOOP_HD inline void tile_range(const Front& f, int t, int& begin, int& end) {
+  constexpr int kBlocks = tile_blocks(D);
+  const int pivot_tiles = (f.pivots + kBlocks - 1) / kBlocks;
+  const int limit = t < pivot_tiles ? f.pivots : f.pivots + f.below;
+  begin = t < pivot_tiles ? t * kBlocks : f.pivots + (t - pivot_tiles) * kBlocks;
+  end = begin + kBlocks < limit ? begin + kBlocks : limit;
+}
+FASTLOOP_HD inline int count_tiles(int blocks, int per_tile) {
+  return (blocks + per_tile - 1) / per_tile;
+}
+
+/// First of the child's blocks that lies at or after a block of the parent.
+FASTLOOP_HD inline int first_at(const std::int32_t* map, int count, int block) {
+  int low = 0, high = count;
+  while (low < high) {
+    const int middle = (low + high) / 2;
+    if (map[middle] < block) {
+      low = middle + 1;
+    } else {
+      high = middle;
+    }
+  }
+  return low;
+}
+
+/// Adds what a child's update matrix has in a tile.
+template <int D, class Team>
+FASTLOOP_HD inline void add_child_to_tile(const Team& team, const View& v, const Front& child,
+                                          const Square& a, int row_begin, int row_end,
+                                          int column_begin, int column_end, int rhs_row) {
+  const std::int32_t* map = v.map + child.rows;
+  const int c_begin = first_at(map, child.below, column_begin) * D;
+  const int c_end = first_at(map, child.below, column_end) * D;
+  const int r_begin = first_at(map, child.below, row_begin) * D;
+  int r_end = first_at(map, child.below, row_end) * D;
+  const int rhs = child.below * D;
+  const double* schur = v.schur + child.schur;
+  const int extra = rhs_row >= 0 ? 1 : 0;
+  for (int c = c_begin + team.warp(); c < c_end; c += team.warps()) {
+    double* column = a.column((map[c / D] - column_begin) * D + c % D);
+    const double* from = schur + static_cast<long long>(c) * child.schur_stride;
+    for (int k = r_begin + team.lane(); k < r_end + extra; k += team.lanes()) {
+      const bool last = k == r_end;
+      const int r = last ? rhs : k;
+      if (r < c) continue;
+      const int to = last ? rhs_row : (map[r / D] - row_begin) * D + r % D;
+      column[to] += team.load(from + r);
+    }
+  }
+  team.sync();
+}
+
+/// Subtracts L(row tile, k) L(column tile, k)^T for all pivot tiles k to the left.
+template <int D, class Team>
+FASTLOOP_HD inline void subtract_left(const Team& team, const View& v, const Front& f,
+                                      const Task& task, const Square& c, double* buffer, int row0,
+                                      int rows, int column0, int columns, int left_tiles) {
+  const int tiles = count_tiles(f.pivots, tile_blocks(D)) + count_tiles(f.below, tile_blocks(D));
+  const Square x{buffer, kTileStride}, y{buffer + kTileStride * kTileDepth, kTileStride};
+  const double* panel = v.panel + f.panel;
+  typename Team::TileSum sum(team);
+  for (int t = 0; t < left_tiles; ++t) {
+    if (team.rank() == 0) {
+      team.wait(v.tile_done + f.tile_flags + t * tiles + task.row_tile, v.factor_epoch);
+      team.wait(v.tile_done + f.tile_flags + t * tiles + task.column_tile, v.factor_epoch);
+    }
+    team.sync();
+    int begin, end;
+    tile_range<D>(f, t, begin, end);
+    for (int k0 = begin * D; k0 < end * D; k0 += kTileDepth) {
+      const int depth = end * D - k0 < kTileDepth ? end * D - k0 : kTileDepth;
+      for (int k = team.rank(); k < kTileRows * kTileDepth; k += team.size()) {
+        const int column = k / kTileRows, r = k % kTileRows;
+        const double* from = panel + static_cast<long long>(k0 + column) * f.panel_stride;
+        x.column(column)[r] = column < depth && r < rows ? team.load(from + row0 + r) : 0.0;
+        y.column(column)[r] = column < depth && r < columns ? team.load(from + column0 + r) : 0.0;
+      }
+      team.sync();
+      sum.add_product(x, y, c);
+      team.sync();
+    }
+  }
+  sum.subtract_from(c);
+  team.sync();
+}
+
+/// One tile of a large front: gathered, updated by the tiles to its left as they become ready, and,
+/// among the pivots, solved.
+template <EdgeModel M, class Team>
+FASTLOOP_HD inline void factor_tile(const Team& team, const View& v, const Task& task,
+                                    double* shared) {
+  constexpr int kD = Model<M>::kTangent;
+  const Front f = v.fronts[task.front];
+  const int pivot_tiles = count_tiles(f.pivots, tile_blocks(kD));
+  const int tiles = pivot_tiles + count_tiles(f.below, tile_blocks(kD));
+  int row_begin, row_end, column_begin, column_end;
+  tile_range<kD>(f, task.row_tile, row_begin, row_end);
+  tile_range<kD>(f, task.column_tile, column_begin, column_end);
+  const bool last = task.row_tile == tiles - 1, pivot = task.column_tile < pivot_tiles;
+  const int rows = (row_end - row_begin) * kD + (last ? 1 : 0);
+  const int columns = (column_end - column_begin) * kD;
+  const Square c{shared, kTileStride};
+  double* buffer = shared + kTileStride * kTileRows;
+  for (int k = team.rank(); k < kTileStride * kTileRows; k += team.size()) shared[k] = 0;
+  team.sync();
+  const int rhs_row = last ? rows - 1 : -1;
+  const bool diagonal = task.row_tile == task.column_tile;
+  if (pivot) {
+    if (diagonal || last)
+      add_vertices<M>(team, v, f, c, column_begin, column_end, diagonal, rhs_row);
+    add_pairs<M>(team, v, c, task.pairs_begin, task.pairs_end, row_begin, column_begin);
+  }
+  wait_for_children(team, v, f);
+  for (int k = 0; k < f.num_children; ++k)
+    add_child_to_tile<kD>(team, v, v.fronts[v.children[f.children + k]], c, row_begin, row_end,
+                          column_begin, column_end, rhs_row);
+  const int left = task.column_tile < pivot_tiles ? task.column_tile : pivot_tiles;
+  if (left > 0)
+    subtract_left<kD>(team, v, f, task, c, buffer, row_begin * kD, rows, column_begin * kD, columns,
+                      left);
+  double* panel = v.panel + f.panel;
+  if (diagonal && pivot) {
+    const bool ok = factor_columns(team, c, columns, rows);
+    if (!ok && team.rank() == 0) *v.failed = v.factor_epoch;
+  } else if (pivot) {
+    if (team.rank() == 0)
+      team.wait(v.tile_done + f.tile_flags + task.column_tile * tiles + task.column_tile,
+                v.factor_epoch);
+    team.sync();
+    const Square l{buffer, kTileStride};
+    for (int k = team.rank(); k < columns * columns; k += team.size()) {
+      const int j = k / columns, r = k % columns;
+      if (r >= j)
+        l.column(j)[r] =
+            team.load(panel + static_cast<long long>(column_begin * kD + j) * f.panel_stride +
+                      column_begin * kD + r);
+    }
+    team.sync();
+    solve_columns(team, c, l, columns, rows);
+  }
+  double* out =
+      pivot ? panel + static_cast<long long>(column_begin * kD) * f.panel_stride + row_begin * kD
+            : v.schur + f.schur +
+                  static_cast<long long>((column_begin - f.pivots) * kD) * f.schur_stride +
+                  (row_begin - f.pivots) * kD;
+  const int stride = pivot ? f.panel_stride : f.schur_stride;
+  for (int j = team.warp(); j < columns; j += team.warps()) {
+    const double* from = c.column(j);
+    double* to = out + static_cast<long long>(j) * stride;
+    for (int r = (diagonal ? j : 0) + team.lane(); r < rows; r += team.lanes()) to[r] = from[r];
+  }
+  if (pivot) {
+    team.publish(v.tile_done + f.tile_flags + task.column_tile * tiles + task.row_tile,
+                 v.factor_epoch);
+  } else {
+    team.signal(v.front_done + task.front);
+  }
+}
+
+}  // namespace fastloop::optimization::device
