@@ -105,6 +105,32 @@ Load descriptor_load(const map::Snapshot& snapshot, std::span<const KeyframeId> 
           }};
 }
 
+Load pose_graph_load(int keyframes) {
+  sim::MapWorldOptions options;
+  options.keyframes = keyframes;
+  options.features = 300;
+  const sim::SimulatedMap world = sim::simulate_map(options);
+  const auto snapshot = world.map.publish();
+  const KeyframeId matched = world.expected_matches.front();
+  map::ClosedLoop closed{{matched, world.current, world.T_matched_current}, {}, {}, matched};
+  closed.corrected.push_back(
+      {world.current, world.map.T_world_body(matched) * world.T_matched_current});
+  map::EssentialGraphOptions graph_options;
+  graph_options.kind = optimization::PoseGraphKind::kSim3;
+  graph_options.min_shared = 30;  // of the 300 features
+  auto graph = std::make_shared<map::EssentialGraph>();
+  map::build_essential_graph(*snapshot, snapshot->keyframe(matched).map, closed, graph_options,
+                             *graph);
+  return {6.0 * static_cast<double>(graph->problem.poses.size()), [graph](const Executor& e) {
+            optimization::PoseGraphProblem problem = graph->problem;
+            optimization::PoseGraphOptions solve;
+            solve.relative_tolerance = 1e-14;  // as in loop closing
+            solve.solver = e.cuda_session() ? optimization::PoseGraphSolverKind::kCuda
+                                            : optimization::PoseGraphSolverKind::kBlock;
+            optimization::solve_pose_graph(problem, solve);
+          }};
+}
+
 CostModel::Costs costs_of(const Load& little, const Load& much, const Executor& cpu,
                           const Executor& device) {
   return {line_through(little, much, cpu), line_through(little, much, device)};
@@ -133,8 +159,7 @@ CostModel measure_costs(const Executor& cpu, const Executor& device) {
   model.of(Step::kDescriptors) =
       costs_of(descriptor_load(*snapshot, std::span(ids).first(2), words),
                descriptor_load(*snapshot, ids, words), cpu, device);
-  model.of(Step::kPoseGraph) =
-      CostModel::defaults(loop::this_machine().threads).of(Step::kPoseGraph);
+  model.of(Step::kPoseGraph) = costs_of(pose_graph_load(300), pose_graph_load(3000), cpu, device);
   return model;
 }
 

@@ -53,6 +53,17 @@ void finish_exactly(optimization::PoseGraphProblem& problem) {
   optimization::solve_pose_graph(problem, exact);
 }
 
+/// The solver for a graph of this size.
+optimization::PoseGraphSolverKind solver_for(const StepExecutors& executors,
+                                             const optimization::PoseGraphProblem& problem) {
+  if (executors.reference()) return optimization::PoseGraphSolverKind::kReference;
+  const double unknowns = (problem.kind == optimization::PoseGraphKind::kYaw ? 4.0 : 6.0) *
+                          static_cast<double>(problem.poses.size());
+  return executors.of(Step::kPoseGraph, unknowns).cuda_session()
+             ? optimization::PoseGraphSolverKind::kCuda
+             : optimization::PoseGraphSolverKind::kBlock;
+}
+
 void optimise_graph(const Snapshot& snapshot, const LoopOptions& options,
                     const StepExecutors& executors,
                     map::ClosedLoop loop, CorrectionMemory& memory, StageClock& clock,
@@ -65,8 +76,7 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options,
   map::build_essential_graph(snapshot, c.map, loop, graph, memory.graph);
   clock.lap("graph_build");
   optimization::PoseGraphOptions solve;
-  solve.solver = executors.reference() ? optimization::PoseGraphSolverKind::kReference
-                                       : optimization::PoseGraphSolverKind::kBlock;
+  solve.solver = solver_for(executors, memory.graph.problem);
   solve.relative_tolerance = 1e-14;  // 1e-10 leaves poses of 3,000 keyframes 1e-5 m away
   solve.threads = executors.reference() ? 1 : options.graph_threads;
   optimization::solve_pose_graph(memory.graph.problem, solve, &memory.plan, memory.graph_result);

@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "fastloop/compute/cuda_support.cuh"
+#include "fastloop/compute/cuda_call.cuh"
 #include "fastloop/loop/similarity_ransac_cuda.hpp"
 
 namespace fastloop::loop {
@@ -35,19 +35,10 @@ __global__ void count_inliers_kernel(matching::CameraView camera, std::uint64_t 
   if (lane == 0) problem.counts[h - problem.begin] = count;
 }
 
-/// Memory that calls share.
-struct RansacMemory {
-  explicit RansacMemory(CudaSession&) {}
-  DeviceBuffer<unsigned char> problems;
-  DeviceBuffer<int> counts;
-  PinnedBuffer<unsigned char> staging;
-  PinnedBuffer<int> host_counts;
-};
-
 /// Lays arrays one after another into the staging buffer and says where they will be on the device.
 class Packer {
  public:
-  Packer(unsigned char* host, unsigned char* device) : host_(host), device_(device) {}
+  Packer(std::byte* host, std::byte* device) : host_(host), device_(device) {}
   template <class T>
   const T* put(const T* from, std::size_t n) {
     const T* at = reinterpret_cast<const T*>(device_ + used_);
@@ -58,7 +49,7 @@ class Packer {
   std::size_t used() const { return used_; }
 
  private:
-  unsigned char *host_, *device_;
+  std::byte *host_, *device_;
   std::size_t used_ = 0;
 };
 
@@ -83,9 +74,11 @@ std::size_t bytes_of(const PairArrays& p) {
 
 void count_all(CudaSession& session, const matching::CameraView& camera, std::uint64_t seed,
                bool fixed_scale, std::span<HypothesisRange> ranges) {
-  const auto memory = session.part<RansacMemory>();
+  const CudaRange range("similarity");
   CudaSession::Impl& cuda = session.impl();
   cuda.use();
+  const auto memory = session.part<CudaCallMemory>();
+  CudaWaitOnFailure wait(cuda);
   std::size_t bytes = ranges.size() * sizeof(DeviceProblem) + 16, total = 0;
   int most = 0;
   for (const HypothesisRange& r : ranges) {
@@ -94,27 +87,28 @@ void count_all(CudaSession& session, const matching::CameraView& camera, std::ui
     most = std::max(most, r.end - r.begin);
   }
   memory->staging.reserve(cuda, bytes);
-  memory->problems.reserve(cuda, bytes);
-  memory->counts.reserve(cuda, total);
-  memory->host_counts.reserve(cuda, total);
+  memory->input.reserve(cuda, bytes);
+  memory->output.reserve(cuda, total * sizeof(int));
+  memory->results.reserve(cuda, total * sizeof(int));
 
-  Packer packer(memory->staging.data(), memory->problems.data());
+  Packer packer(memory->staging.data(), memory->input.data());
   std::vector<DeviceProblem> problems;
-  int* counts = memory->counts.data();
+  int* counts = reinterpret_cast<int*>(memory->output.data());
   for (const HypothesisRange& r : ranges) {
     problems.push_back({put(packer, r.pairs), r.begin, r.end, counts});
     counts += r.end - r.begin;
   }
   const DeviceProblem* on_device = packer.put(problems.data(), problems.size());
-  cuda.to_device(memory->problems.data(), memory->staging.data(), packer.used());
+  cuda.to_device(memory->input.data(), memory->staging.data(), packer.used());
   const dim3 grid((static_cast<unsigned>(most) + kWarpsPerBlock - 1) / kWarpsPerBlock,
                   static_cast<unsigned>(problems.size()));
   count_inliers_kernel<<<grid, kWarp * kWarpsPerBlock, 0, cuda.stream>>>(camera, seed, fixed_scale,
                                                                          on_device);
   cuda.launched("count_inliers_kernel");
-  cuda.to_host(memory->host_counts.data(), memory->counts.data(), total * sizeof(int));
+  cuda.to_host(memory->results.data(), memory->output.data(), total * sizeof(int));
   cuda.synchronize();
-  const int* from = memory->host_counts.data();
+  wait.disarm();
+  const int* from = reinterpret_cast<const int*>(memory->results.data());
   for (HypothesisRange& r : ranges) {
     r.counts.assign(from, from + (r.end - r.begin));
     from += r.end - r.begin;
@@ -125,9 +119,9 @@ void count_all(CudaSession& session, const matching::CameraView& camera, std::ui
 
 bool count_inliers_cuda(CudaSession& session, const matching::CameraView& camera,
                         std::uint64_t seed, bool fixed_scale, std::span<HypothesisRange> ranges) {
+  const std::lock_guard lock(session.mutex());
   if (!session.usable()) return false;
   if (ranges.empty()) return true;
-  const std::lock_guard lock(session.mutex());
   try {
     count_all(session, camera, seed, fixed_scale, ranges);
     return true;
