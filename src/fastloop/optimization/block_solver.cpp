@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "fastloop/core/time.hpp"
+#include "fastloop/optimization/pose_graph_iteration.hpp"
 #include "fastloop/optimization/pose_graph_residual.hpp"
 
 namespace fastloop::optimization {
@@ -26,9 +27,6 @@ PoseGraphPlan::Impl::~Impl() = default;
 namespace {
 
 constexpr std::size_t kChunkVertices = 512;
-constexpr int kMaxRejections = 12;       // in a row
-constexpr int kMaxRefinements = 6;       // steps with an old factor
-constexpr double kWorthRefining = 0.05;  // contraction of the expected decrease per step
 // Share of the cost that the quadratic model may have failed to foresee if refining is to be tried,
 // and the same for factors beyond the caches, where two substitutions cost nearly as much as a
 // factorisation.
@@ -184,111 +182,57 @@ void PoseGraphPlan::Impl::build_damping() {
   }
 }
 
-/// Moves along the present step if that lowers the cost.
-bool PoseGraphPlan::Impl::try_step(double& cost, PoseGraphResult& result) {
-  Stopwatch watch;
-  move_poses();
-  const double candidate_cost = evaluate_cost(candidate_.data(), nullptr);
-  result.times.update_ms += watch.elapsed_ms();
-  if (!(candidate_cost < cost)) return false;
-  std::swap(poses_, candidate_);
-  cost = candidate_cost;
-  result.cost_history.push_back(cost);
-  return true;
-}
+/// What the iteration asks for.
+class PoseGraphPlan::Impl::Steps {
+ public:
+  Steps(Impl& impl, bool split_times, PoseGraphResult& result)
+      : impl_(impl), split_times_(split_times), times_(result.times) {}
 
-/// Steps with the gradient at the new poses and the factor of the old ones. Near the minimum the
-/// expected decrease shrinks by a constant factor per step at a fraction of the price of a
-/// factorisation. `foreseen` is the cost that the quadratic model expected after the step; where
-/// the true cost lies far above it, the old factor says little about the new place. True:
-/// converged.
-bool PoseGraphPlan::Impl::refine_with_old_factor(double tolerance, double last_decrease,
-                                                 double foreseen, double& cost,
-                                                 PoseGraphResult& result) {
-  const double max_excess = symbolic_.panel_size < kLargeFactor ? kMaxExcess : kMaxExcessLarge;
-  if (cost - foreseen > max_excess * cost) return false;
-  for (int k = 0; k < kMaxRefinements; ++k) {
+  bool has_unknowns() const { return !impl_.free_pose_.empty(); }
+  double initial_cost() { return impl_.evaluate_cost(impl_.poses_.data(), nullptr); }
+  bool factor(double lambda, double& expected) {
     Stopwatch watch;
-    forward();
-    const double decrease = 0.5 * backward();
-    result.times.solve_ms += watch.elapsed_ms();
-    const double contraction = decrease / last_decrease;
-    if (!(contraction < kWorthRefining) || decrease > cost) return false;
-    const bool done = decrease * std::max(contraction, 1e-2) <= tolerance * cost;
-    if (!try_step(cost, result)) return decrease <= tolerance * cost;
-    if (done) return true;
-    last_decrease = decrease;
-  }
-  return false;
-}
-
-void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResult& result) {
-  double cost = evaluate_cost(poses_.data(), nullptr);
-  result.cost_history.push_back(cost);
-  const double floor = 1e-24 * damping_scale_ * static_cast<double>(edge_of_slot_.size());
-  const double tolerance = options.relative_tolerance;
-  double lambda = 0;
-  int rejections = 0;
-  result.status = PoseGraphStatus::kMaxIterations;
-  result.reason = "ended by max_iterations";
-  const auto converged = [&] {
-    result.status = PoseGraphStatus::kConverged;
-    result.reason.clear();
-  };
-  if (free_pose_.empty() || !(cost > floor)) {
-    result.final_cost = cost;
-    return converged();
-  }
-  while (result.iterations < options.max_iterations) {
-    Stopwatch watch;
-    const bool positive_definite = factor(lambda);
-    ++result.factorizations;
+    const bool positive_definite = impl_.factor(lambda);
     const double factor_ms = watch.elapsed_ms();
     const double linearize_ms =
-        options.split_times ? std::min(factor_ms, measure_linearization()) : 0;
-    result.times.linearize_ms += linearize_ms;
-    result.times.factor_ms += factor_ms - linearize_ms;
-    bool accepted = false;
-    double expected = 0;
-    if (positive_definite) {
-      watch.restart();
-      expected = 0.5 * backward();
-      result.times.solve_ms += watch.elapsed_ms();
-      const double before = cost;
-      accepted = try_step(cost, result);
-      if (!accepted && lambda == 0 && expected <= 1e-10 * cost + floor) {
-        result.final_cost = cost;  // what is left is rounding
-        return converged();
-      }
-      if (accepted) {
-        ++result.iterations;
-        rejections = 0;
-        const double decrease = before - cost;
-        const bool small = decrease <= tolerance * cost && expected <= 10 * tolerance * before;
-        // A step whose effect was foretold this well met no curvature that another step could use.
-        const bool foretold = std::abs(decrease - expected) <= 0.1 * tolerance * cost;
-        if (cost <= floor || ((small || foretold) && lambda == 0)) {
-          result.final_cost = cost;
-          return converged();
-        }
-        if (lambda == 0 && decrease > 0.5 * expected &&
-            refine_with_old_factor(tolerance, expected, before - expected, cost, result)) {
-          result.final_cost = cost;
-          return converged();
-        }
-        lambda = lambda > 1e-6 * damping_scale_ ? 0.1 * lambda : 0;
-      }
-    }
-    if (!accepted) {
-      if (++rejections > kMaxRejections) {
-        result.status = PoseGraphStatus::kStalled;
-        result.reason = "no step lowers the cost any more";
-        break;
-      }
-      lambda = std::max(10 * lambda, 1e-6 * damping_scale_);
-    }
+        split_times_ ? std::min(factor_ms, impl_.measure_linearization()) : 0;
+    times_.linearize_ms += linearize_ms;
+    times_.factor_ms += factor_ms - linearize_ms;
+    if (!positive_definite) return false;
+    watch.restart();
+    expected = 0.5 * impl_.backward();
+    times_.solve_ms += watch.elapsed_ms();
+    return true;
   }
-  result.final_cost = cost;
+  double refine() {
+    const Stopwatch watch;
+    impl_.forward();
+    const double expected = 0.5 * impl_.backward();
+    times_.solve_ms += watch.elapsed_ms();
+    return expected;
+  }
+  double candidate_cost() {
+    const Stopwatch watch;
+    impl_.move_poses();
+    const double cost = impl_.evaluate_cost(impl_.candidate_.data(), nullptr);
+    times_.update_ms += watch.elapsed_ms();
+    return cost;
+  }
+  void accept() { std::swap(impl_.poses_, impl_.candidate_); }
+
+ private:
+  Impl& impl_;
+  bool split_times_;
+  PoseGraphTimes& times_;
+};
+
+void PoseGraphPlan::Impl::iterate(const PoseGraphOptions& options, PoseGraphResult& result) {
+  IterationRule rule;
+  rule.floor = 1e-24 * damping_scale_ * static_cast<double>(edge_of_slot_.size());
+  rule.damping_scale = damping_scale_;
+  rule.max_excess = symbolic_.panel_size < kLargeFactor ? kMaxExcess : kMaxExcessLarge;
+  Steps steps(*this, options.split_times, result);
+  PoseGraphIteration<Steps>(steps, rule, options, result).run();
 }
 
 void PoseGraphPlan::Impl::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,

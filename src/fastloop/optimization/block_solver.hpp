@@ -48,6 +48,7 @@ class PoseGraphPlan::Impl {
   int reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result);
 
   // block_solver.cpp: the iteration
+  class Steps;
   void iterate(const PoseGraphOptions& options, PoseGraphResult& result);
   double evaluate_cost(const double* poses, double* squared);
   bool factor(double lambda);
@@ -60,9 +61,6 @@ class PoseGraphPlan::Impl {
   /// candidate = poses moved by the step
   void move_poses();
   void build_damping();
-  bool try_step(double& cost, PoseGraphResult& result);
-  bool refine_with_old_factor(double tolerance, double last_decrease, double foreseen, double& cost,
-                              PoseGraphResult& result);
   double damping_scale(const PoseGraphProblem& problem) const;
 
   // Structure, valid for the remembered edge ends.
