@@ -1,5 +1,6 @@
 #pragma once
 
+#include <concepts>
 #include <string>
 #include <vector>
 
@@ -23,9 +24,19 @@ struct Attempt {
     return options;
   }
   template <class Change = void (*)(LoopOptions&)>
+    requires std::invocable<Change, LoopOptions&>
   Attempt(const sim::MapWorldOptions& o, Backend backend, Change change = [](LoopOptions&) {})
       : world(sim::simulate_map(o)),
         closer(options_for(o, change), backend, place::default_vocabulary()) {
+    run();
+  }
+  Attempt(const sim::MapWorldOptions& o, Backend backend, const StepExecutors& executors)
+      : world(sim::simulate_map(o)),
+        closer(options_for(o, [](LoopOptions&) {}), backend, executors,
+               place::default_vocabulary()) {
+    run();
+  }
+  void run() {
     const auto snapshot = world.map.publish();
     for (std::uint32_t i = 0; i < snapshot->keyframe_slots(); ++i)
       if (KeyframeId(i) != world.current) closer.add(*snapshot, KeyframeId(i));

@@ -4,9 +4,13 @@ namespace fastloop::loop {
 
 LoopCloser::LoopCloser(const LoopOptions& options, Backend backend,
                        const place::Vocabulary& vocabulary)
+    : LoopCloser(options, resolve(backend), executors_of(backend), vocabulary) {}
+
+LoopCloser::LoopCloser(const LoopOptions& options, Backend backend,
+                       const StepExecutors& executors, const place::Vocabulary& vocabulary)
     : options_(options),
-      backend_(resolve(backend)),
-      executors_(executors_of(backend_)),
+      backend_(backend),
+      executors_(executors),
       database_(vocabulary),
       detector_(options, executors_) {}
 

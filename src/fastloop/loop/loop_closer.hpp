@@ -21,6 +21,9 @@ class LoopCloser {
  public:
   /// @param vocabulary  must outlive the closer
   LoopCloser(const LoopOptions& options, Backend backend, const place::Vocabulary& vocabulary);
+  /// With executors of one's own, a device session that is shared with nobody say.
+  LoopCloser(const LoopOptions& options, Backend backend, const StepExecutors& executors,
+             const place::Vocabulary& vocabulary);
 
   struct Outcome {
     LoopReport report;
