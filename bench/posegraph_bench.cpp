@@ -7,6 +7,7 @@
 #include <ctime>
 #include <map>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "fastloop/map/ring_map_for_tests.hpp"
@@ -244,6 +245,53 @@ void scaling(benchmark::State& state, const std::string& shape, int dof) {
   }
 }
 
+/// The CUDA device against the block solver on one core and on all, plans kept: medians of the wall time of a whole
+/// call, from the flat problem to the poses, transfers included.
+void cuda(benchmark::State& state, const std::string& shape, int dof, int poses) {
+  sim::PoseGraphWorldOptions world;
+  world.shape = sim::pose_graph_shape(shape);
+  world.poses = poses;
+  world.dof = dof;
+  const PoseGraphProblem start = sim::make_pose_graph_world(world).problem;
+  PoseGraphResult result;
+  const auto time_of = [&](PoseGraphSolverKind solver, int threads) {
+    PoseGraphOptions options;
+    options.solver = solver;
+    options.threads = threads;
+    PoseGraphPlan plan;
+    std::vector<double> ms;
+    const int calls = poses >= 100000 ? 6 : poses >= 10000 ? 12 : 32;
+    for (int k = 0; k < calls; ++k) {
+      PoseGraphProblem problem = start;
+      solve_pose_graph(problem, options, &plan, result);
+      if (k > 0) ms.push_back(result.times.total_ms);
+    }
+    return median(ms);
+  };
+  for (auto _ : state) {
+    const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+    const double one = time_of(PoseGraphSolverKind::kBlock, 1);
+    const double all = time_of(PoseGraphSolverKind::kBlock, cores);
+    const double cost = result.final_cost;
+    const double device = time_of(PoseGraphSolverKind::kCuda, 1);
+    if (!result.on_device) state.SkipWithError("no CUDA device");
+    state.SetIterationTime(1e-3 * device);
+    state.counters["block_1_ms"] = one;
+    state.counters["block_all_ms"] = all;
+    state.counters["cuda_ms"] = device;
+    state.counters["ratio_all"] = all / device;
+    state.counters["cost_diff"] = std::abs(result.final_cost - cost) / cost;
+    state.counters["factorizations"] = result.factorizations;
+    state.counters["steps"] = static_cast<double>(result.cost_history.size()) - 1;
+    state.counters["launches"] = result.device.launches;
+    state.counters["waits"] = result.device.synchronizations;
+    state.counters["levels"] = result.device.levels;
+    state.counters["columns"] = result.device.critical_columns;
+    state.counters["mega_fma"] = 1e-6 * result.device.multiply_adds;
+    state.counters["megabytes"] = 1e-6 * result.device.factor_bytes;
+  }
+}
+
 const int kRegistered = [] {
   const auto once = [](benchmark::internal::Benchmark* b) {
     b->Iterations(1)->UseManualTime()->Unit(benchmark::kMillisecond);
@@ -261,6 +309,9 @@ const int kRegistered = [] {
         once(benchmark::RegisterBenchmark(("kept_plan" + suffix).c_str(), kept_plan, shape, dof, poses));
       }
       once(benchmark::RegisterBenchmark(("scaling" + name).c_str(), scaling, shape, dof));
+      for (int poses : {300, 1000, 3000, 10000, 100000})
+        once(benchmark::RegisterBenchmark(("cuda" + name + "/poses:" + std::to_string(poses)).c_str(), cuda, shape, dof,
+                                          poses));
     }
   }
   return 0;

@@ -23,6 +23,7 @@ void reset(PoseGraphResult& result) {
   result.rejected.clear();
   result.plan_reused = result.plan_extended = result.on_device = false;
   result.times = PoseGraphTimes();
+  result.device = PoseGraphDeviceCounts();
 }
 
 }  // namespace

@@ -101,6 +101,15 @@ struct PoseGraphTimes {
          update_ms = 0, total_ms = 0;
 };
 
+/// How the device went about it: what an estimate of the time is made of.
+struct PoseGraphDeviceCounts {
+  int fronts = 0, levels = 0, tiled_fronts = 0;
+  double critical_columns = 0;  ///< unknowns that must be eliminated one after the other
+  double multiply_adds = 0;     ///< of one factorisation
+  double factor_bytes = 0;      ///< of L and of the matrices handed from front to front
+  int launches = 0, synchronizations = 0;  ///< of this call
+};
+
 struct PoseGraphResult {
   PoseGraphStatus status = PoseGraphStatus::kConverged;
   std::string reason;  ///< one sentence; empty when converged
@@ -114,6 +123,7 @@ struct PoseGraphResult {
   std::vector<int> rejected;         ///< indices of rejected edges, ascending
   bool plan_reused = false, plan_extended = false;
   bool on_device = false;  ///< computed there; false as well where kCuda fell back to kBlock
+  PoseGraphDeviceCounts device;
   PoseGraphTimes times;
   bool usable() const { return status != PoseGraphStatus::kInvalidProblem; }
 };

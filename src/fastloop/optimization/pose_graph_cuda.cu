@@ -55,6 +55,9 @@ class CudaExecutor : public StepExecutor {
   void report_failure(const std::string& what) override {
     session_->report_failure("pose graph", what);
   }
+  std::pair<std::uint64_t, std::uint64_t> launches_and_waits() const override {
+    return {cuda_.launches, cuda_.synchronizations};
+  }
   std::size_t max_shared_doubles() const override {
     return static_cast<std::size_t>(cuda_.shared_bytes_per_block - 1024) / sizeof(double);
   }

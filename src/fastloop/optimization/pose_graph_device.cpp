@@ -212,6 +212,7 @@ int Solver::reject_outliers(const PoseGraphProblem& problem, double gate, PoseGr
 void Solver::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,
                    PoseGraphResult& result) {
   const auto lock = executor_->lock();
+  const auto [launches, waits] = executor_->launches_and_waits();
   prepare(problem, result);
   Stopwatch watch;
   load(problem, options);
@@ -235,6 +236,15 @@ void Solver::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,
   watch.restart();
   store(problem);
   result.times.update_ms += watch.elapsed_ms();
+  const auto [launches_now, waits_now] = executor_->launches_and_waits();
+  result.device = {static_cast<int>(schedule_.fronts.size()),
+                   schedule_.levels,
+                   schedule_.tiled_fronts,
+                   schedule_.critical_columns,
+                   schedule_.multiply_adds,
+                   8.0 * static_cast<double>(schedule_.panel_doubles + schedule_.schur_doubles),
+                   static_cast<int>(launches_now - launches),
+                   static_cast<int>(waits_now - waits)};
 }
 
 bool solve_on_device(std::unique_ptr<Solver>& kept, PoseGraphProblem& problem,

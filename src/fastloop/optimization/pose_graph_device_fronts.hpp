@@ -14,10 +14,11 @@ FASTLOOP_HD inline int even(int n) {
   return (n + 1) / 2 * 2;
 }
 
-/// Doubles of shared memory that a front needs as one task: the matrix, and the rows of one child.
+/// Doubles of shared memory that a front needs as one task: the matrix, and the rows of two
+/// children.
 FASTLOOP_HD inline long long whole_front_doubles(const Front& f, int block_size) {
   const int rows = even(front_rows(f, block_size));
-  return Trapezoid::doubles(rows, rows) + rows / 2 + 1;
+  return Trapezoid::doubles(rows, rows) + rows;
 }
 /// The same for tiles.
 inline constexpr int kTileStride = kTileRows + 2;
@@ -94,15 +95,21 @@ FASTLOOP_HD inline void wait_for_children(const Team& team, const View& v, const
   team.sync();
 }
 
-/// Adds a child's update matrix. `target`: room for one number per row of it.
-template <int D, class Team, class Matrix>
-FASTLOOP_HD inline void add_child(const Team& team, const View& v, const Front& f,
-                                  const Front& child, const Matrix& a, std::int32_t* target) {
+/// Rows of the front in which the rows of a child's update matrix lie.
+template <int D, class Team>
+FASTLOOP_HD inline void find_targets(const Team& team, const View& v, const Front& f,
+                                     const Front& child, std::int32_t* target) {
   const int columns = child.below * D, rhs = (f.pivots + f.below) * D;
   const std::int32_t* map = v.map + child.rows;
   for (int r = team.rank(); r <= columns; r += team.size())
     target[r] = r < columns ? map[r / D] * D + r % D : rhs;
-  team.sync();
+}
+
+/// Adds a child's update matrix.
+template <int D, class Team, class Matrix>
+FASTLOOP_HD inline void add_child(const Team& team, const View& v, const Front& child,
+                                  const Matrix& a, const std::int32_t* target) {
+  const int columns = child.below * D;
   const double* schur = v.schur + child.schur;
   constexpr int kColumns = 4;  // at a time, so that several loads are on their way
   for (int c0 = team.warp() * kColumns; c0 < columns; c0 += team.warps() * kColumns) {
@@ -156,10 +163,20 @@ FASTLOOP_HD inline void factor_front(const Team& team, const View& v, int index,
   team.sync();
   add_vertices<M>(team, v, f, a, 0, f.pivots, true, rows - 1);
   add_pairs<M>(team, v, a, f.pairs_begin, f.pairs_end, 0, 0);
+  // Everything that does not need the children's numbers comes before the wait for them.
+  std::int32_t* target[2] = {reinterpret_cast<std::int32_t*>(shared + size),
+                             reinterpret_cast<std::int32_t*>(shared + size) + rows};
+  for (int c = 0; c < f.num_children && c < 2; ++c)
+    find_targets<kD>(team, v, f, v.fronts[v.children[f.children + c]], target[c]);
   wait_for_children(team, v, f);
-  for (int c = 0; c < f.num_children; ++c)
-    add_child<kD>(team, v, f, v.fronts[v.children[f.children + c]], a,
-                  reinterpret_cast<std::int32_t*>(shared + size));
+  for (int c = 0; c < f.num_children; ++c) {
+    const Front child = v.fronts[v.children[f.children + c]];
+    if (c >= 2) {
+      find_targets<kD>(team, v, f, child, target[c % 2]);
+      team.sync();
+    }
+    add_child<kD>(team, v, child, a, target[c % 2]);
+  }
   const bool ok = factor_columns(team, a, pivots, rows);
   if (!ok && team.rank() == 0) *v.failed = v.factor_epoch;
   if (f.below > 0) write_update(team, v, f, a, pivots, rows);

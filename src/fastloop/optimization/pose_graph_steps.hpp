@@ -5,6 +5,7 @@
 #include <mutex>
 #include <span>
 #include <string>
+#include <utility>
 
 #include "fastloop/optimization/block_kernels.hpp"
 #include "fastloop/optimization/pose_graph_schedule.hpp"
@@ -28,6 +29,8 @@ class StepExecutor {
   virtual std::unique_lock<std::mutex> lock() { return {}; }
   /// A call below threw: logs it, once for each kind.
   virtual void report_failure(const std::string&) {}
+  /// Launches and waits of the host so far.
+  virtual std::pair<std::uint64_t, std::uint64_t> launches_and_waits() const { return {0, 0}; }
   /// Largest front that is treated as one piece.
   virtual std::size_t max_shared_doubles() const = 0;
   virtual void set_schedule(const Schedule& schedule, block::EdgeModel model) = 0;
