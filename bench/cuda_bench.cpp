@@ -13,6 +13,7 @@
 #include "fastloop/map/landmark_arrays.hpp"
 #include "fastloop/matching/descriptor_matching.hpp"
 #include "fastloop/matching/resident_store.hpp"
+#include "fastloop/matching/scene_for_tests.hpp"
 #include "fastloop/sim/map_worlds.hpp"
 
 namespace fastloop {
@@ -78,64 +79,130 @@ Place make_place(const sim::MapWorldOptions& options, std::size_t landmarks, std
   return p;
 }
 
+/// A hall that was mapped densely: landmarks on its walls, seen by keyframes near its middle that
+/// look in all directions. Every landmark whose direction a keyframe covers is in view.
+struct Hall {
+  StereoRig rig;
+  PyramidScales scales;
+  map::LandmarkArrays cloud;
+  std::vector<std::shared_ptr<FeatureSet>> features;
+  std::vector<SearchTarget> targets;
+};
+
+Hall make_hall(bool fisheye, std::size_t landmarks, std::size_t num_targets) {
+  std::mt19937 rng(1);
+  std::uniform_real_distribution<double> u(-1, 1);
+  Hall hall;
+  hall.rig = fisheye ? matching::testing::fisheye_rig() : matching::testing::pinhole_rig();
+  for (std::size_t i = 0; i < landmarks; ++i) {
+    const double angle = M_PI * u(rng);
+    const Vector3d p(8 * std::cos(angle), 2.5 * u(rng), 8 * std::sin(angle));
+    hall.cloud.ids.push_back(LandmarkId(static_cast<std::uint32_t>(i)));
+    hall.cloud.p_world.push_back(p.cast<float>());
+    hall.cloud.normal_world.push_back(p.normalized().cast<float>());
+    const float farthest = static_cast<float>(p.norm()) * hall.scales.scale[1 + rng() % 4];
+    hall.cloud.max_distance_m.push_back(farthest);
+    hall.cloud.min_distance_m.push_back(farthest / hall.scales.scale.back());
+    hall.cloud.descriptor.push_back(matching::testing::random_descriptor(rng));
+  }
+  for (std::size_t t = 0; t < num_targets; ++t) {
+    const SE3 T_world_camera(so3::exp({0, M_PI * u(rng), 0}),
+                             Vector3d(u(rng), 0.3 * u(rng), u(rng)));
+    const SE3 T_camera_world = T_world_camera.inverse();
+    auto f = std::make_shared<FeatureSet>();
+    for (int tries = 0; tries < 40000 && f->size() < 1200; ++tries) {
+      const std::size_t i = rng() % landmarks;
+      const Vector3d p = T_camera_world * hall.cloud.p_world[i].cast<double>();
+      if (!hall.rig.left.is_projectable(p)) continue;
+      const Eigen::Vector2d pixel = hall.rig.left.project(p) + 1.5 * Eigen::Vector2d(u(rng), u(rng));
+      if (!hall.rig.left.contains(pixel)) continue;
+      const double ratio = hall.cloud.max_distance_m[i] / p.norm();
+      const int level = std::clamp(static_cast<int>(std::ceil(std::log(ratio) / std::log(1.2))), 0, 7);
+      matching::testing::add_keypoint(
+          *f, pixel.x(), pixel.y(), std::max(0, level - static_cast<int>(rng() % 2)),
+          matching::testing::with_flipped_bits(hall.cloud.descriptor[i], 10, rng));
+    }
+    matching::testing::finish(*f, hall.rig.left);
+    hall.features.push_back(f);
+    hall.targets.push_back({f.get(), T_camera_world, 1, {}, {}});
+  }
+  return hall;
+}
+
 bool equal(const ProjectionMatches& a, const ProjectionMatches& b) {
   return a.keypoint == b.keypoint && a.distance == b.distance && a.in_view == b.in_view;
 }
 
-void projection(const std::shared_ptr<CudaSession>& session, const char* name, int repeat,
-                bool fisheye, std::size_t landmarks, std::size_t num_targets, float radius_px,
-                int max_distance) {
-  sim::MapWorldOptions world;
-  world.keyframes = 400;
-  world.features = 1200;
-  world.fisheye = fisheye;
-  const Place place = make_place(world, landmarks, num_targets);
-  const auto snapshot = place.simulated.map.publish();
+void compare(const std::shared_ptr<CudaSession>& session, const char* name, int repeat,
+             const StereoRig& rig, const PyramidScales& scales,
+             std::span<const SearchTarget> targets, const map::LandmarkArrays& cloud,
+             float radius_px, int max_distance) {
   const Executor device = Executor::cuda(session);
-  std::vector<std::shared_ptr<const FeatureSet>> alive;
-  for (std::size_t k = 0; k < snapshot->keyframe_slots(); ++k)
-    make_resident(device, snapshot->keyframe(KeyframeId(static_cast<std::uint32_t>(k))).data->features);
-  LandmarkView view = place.cloud.view();
+  const std::size_t num_targets = targets.size();
+  LandmarkView view = cloud.view();
   ProjectionSearchOptions rule;
   rule.radius_px = radius_px;
   rule.max_distance = max_distance;
   std::vector<std::vector<ProjectionMatches>> found(3);
   for (auto& f : found) f.resize(num_targets);
   const auto dense = [&](const Executor& e, std::size_t slot) {
-    search_by_projection(e, snapshot->rig(), snapshot->scales(), place.targets, view, rule,
-                         found[slot]);
+    search_by_projection(e, rig, scales, targets, view, rule, found[slot]);
   };
-  std::vector<MatchLists> lists(3);
+  std::vector<MatchLists> lists(4);
   const auto compact = [&](const Executor& e, const LandmarkView& l, std::size_t slot) {
-    const ProjectionJob job{l, place.targets};
-    lists[slot] = find_by_projection(e, snapshot->rig(), snapshot->scales(), {&job, 1}, rule);
+    const ProjectionJob job{l, targets};
+    lists[slot] = find_by_projection(e, rig, scales, {&job, 1}, rule);
   };
   const auto resident = make_resident(device, view);
   LandmarkView on_device = view;
   on_device.resident = resident.get();
   auto t = alternate(repeat, {[&] { dense(Executor::reference(), 0); },
+                              [&] { compact(Executor::reference(), view, 3); },
                               [&] { dense(Executor::cpu(), 1); },
-                              [&] { dense(device, 2); },
                               [&] { compact(Executor::cpu(), view, 0); },
+                              [&] { dense(device, 2); },
                               [&] { compact(device, view, 1); },
                               [&] { compact(device, on_device, 2); }});
-  bool same = lists[0].matches == lists[1].matches && lists[0].matches == lists[2].matches;
-  std::size_t seen = 0, matches = 0;
+  bool same = true;
+  for (const MatchLists& l : lists) same = same && l.matches == lists[0].matches;
+  std::size_t seen = 0;
   for (std::size_t i = 0; i < num_targets; ++i) {
     same = same && equal(found[0][i], found[1][i]) && equal(found[0][i], found[2][i]);
     for (const std::uint8_t s : found[0][i].in_view) seen += s;
-    matches += static_cast<std::size_t>(found[0][i].count);
   }
   const double reference = t[0].median();
-  std::printf("%-20s %6zu x %2zu  in view %4.1f %%  matches %6zu  %s\n", name, view.size(),
-              num_targets, 100.0 * static_cast<double>(seen) / static_cast<double>(view.size() * num_targets),
-              matches, same ? "same" : "DIFFERENT");
-  const char* label[] = {"reference", "cpu", "cuda", "cpu, compact", "cuda, compact",
-                         "cuda, compact, landmarks resident"};
+  std::printf("%-22s %6zu x %2zu  in view %4.1f %%  matches %6zu  %s\n", name, view.size(),
+              num_targets,
+              100.0 * static_cast<double>(seen) / static_cast<double>(view.size() * num_targets),
+              lists[0].matches.size(), same ? "same" : "DIFFERENT");
+  const char* label[] = {"reference", "reference, lists", "cpu", "cpu, lists", "cuda", "cuda, lists",
+                         "cuda, lists, landmarks resident"};
   for (std::size_t i = 0; i < t.size(); ++i)
     std::printf("   %-34s median %9.4f ms  p10 %9.4f  p90 %9.4f  ratio %7.1f\n", label[i],
                 t[i].median(), t[i].at(0.1), t[i].at(0.9), reference / t[i].median());
   std::fflush(stdout);
+}
+
+void in_map(const std::shared_ptr<CudaSession>& session, const char* name, int repeat, bool fisheye,
+            std::size_t landmarks, std::size_t num_targets, float radius_px, int max_distance) {
+  sim::MapWorldOptions world;
+  world.keyframes = 400;
+  world.features = 1200;
+  world.fisheye = fisheye;
+  const Place place = make_place(world, landmarks, num_targets);
+  const auto snapshot = place.simulated.map.publish();
+  for (std::uint32_t k = 0; k < snapshot->keyframe_slots(); ++k)
+    make_resident(Executor::cuda(session), snapshot->keyframe(KeyframeId(k)).data->features);
+  compare(session, name, repeat, snapshot->rig(), snapshot->scales(), place.targets, place.cloud,
+          radius_px, max_distance);
+}
+
+void in_hall(const std::shared_ptr<CudaSession>& session, const char* name, int repeat, bool fisheye,
+             std::size_t landmarks, std::size_t num_targets, float radius_px, int max_distance) {
+  const Hall hall = make_hall(fisheye, landmarks, num_targets);
+  for (const auto& f : hall.features) make_resident(Executor::cuda(session), f);
+  compare(session, name, repeat, hall.rig, hall.scales, hall.targets, hall.cloud, radius_px,
+          max_distance);
 }
 
 /// Groups as a vocabulary of 128 nodes would make them.
@@ -243,15 +310,18 @@ int main(int argc, char** argv) {
     std::printf("%s\n", cuda_inventory().devices.front().name.c_str());
   else
     std::printf("no device (%s): the rows of cuda are those of the cpu\n", reason.c_str());
-  projection(session, "PS1-3, pinhole", repeat, false, 3000, 3, 3, 75);
-  projection(session, "fusion, pinhole", repeat, false, 4000, 20, 4, 50);
-  projection(session, "fusion, pinhole", repeat, false, 20000, 60, 4, 50);
+  in_map(session, "map, pinhole", repeat, false, 3000, 3, 3, 75);
+  in_map(session, "map, pinhole", repeat, false, 4000, 20, 4, 50);
+  in_map(session, "map, pinhole", repeat, false, 20000, 60, 4, 50);
+  in_hall(session, "hall, pinhole", repeat, false, 20000, 60, 4, 50);
   bag_of_words(session, repeat, 66);
   if (quick) return 0;
-  projection(session, "PS2a, pinhole", repeat, false, 3000, 1, 8, 75);
-  projection(session, "PS1-3, fisheye", repeat, true, 3000, 3, 3, 75);
-  projection(session, "fusion, fisheye", repeat, true, 4000, 20, 4, 50);
-  projection(session, "fusion, fisheye", repeat, true, 20000, 60, 4, 50);
+  in_map(session, "map, pinhole, PS2a", repeat, false, 3000, 1, 8, 75);
+  in_map(session, "map, fisheye", repeat, true, 3000, 3, 3, 75);
+  in_map(session, "map, fisheye", repeat, true, 4000, 20, 4, 50);
+  in_map(session, "map, fisheye", repeat, true, 20000, 60, 4, 50);
+  in_hall(session, "hall, pinhole", repeat, false, 3000, 3, 3, 75);
+  in_hall(session, "hall, fisheye", repeat, true, 20000, 60, 4, 50);
   if (session) uploads(session, 10000);
   return 0;
 }

@@ -1,5 +1,8 @@
 #include "fastloop/matching/packed_features.hpp"
 
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <cstring>
 
@@ -30,16 +33,30 @@ void pack_features(const FeatureSet& features, std::byte* out) {
 
 void pack_landmarks(const LandmarkArrays& landmarks, std::size_t n, std::byte* out) {
   const LandmarkArrays to = packed_landmarks(out, n);
-  const auto copy = [n](const auto* from, const auto* target, std::size_t per_landmark) {
-    if (from && n > 0)
-      std::memcpy(const_cast<void*>(static_cast<const void*>(target)), from,
-                  n * per_landmark * sizeof(*from));
+  const auto copy = [](const auto* from, const auto* target, std::size_t per_landmark,
+                       std::size_t begin, std::size_t end) {
+    if (from)
+      std::memcpy(const_cast<void*>(static_cast<const void*>(target + begin * per_landmark)),
+                  from + begin * per_landmark, (end - begin) * per_landmark * sizeof(*from));
   };
-  copy(landmarks.descriptor, to.descriptor, 1);
-  copy(landmarks.p_world, to.p_world, 3);
-  copy(landmarks.normal_world, to.normal_world, 3);
-  copy(landmarks.min_distance_m, to.min_distance_m, 1);
-  copy(landmarks.max_distance_m, to.max_distance_m, 1);
+  const auto copy_range = [&](std::size_t begin, std::size_t end) {
+    copy(landmarks.descriptor, to.descriptor, 1, begin, end);
+    copy(landmarks.p_world, to.p_world, 3, begin, end);
+    copy(landmarks.normal_world, to.normal_world, 3, begin, end);
+    copy(landmarks.min_distance_m, to.min_distance_m, 1, begin, end);
+    copy(landmarks.max_distance_m, to.max_distance_m, 1, begin, end);
+  };
+  constexpr std::size_t kShare = 2048;  // worth a task
+  if (n <= 2 * kShare) {
+    if (n > 0) copy_range(0, n);
+    return;
+  }
+  // Callers hold a mutex, and so this thread must not begin somebody else's task meanwhile.
+  tbb::this_task_arena::isolate([&] {
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, n, kShare), [&](const auto& range) {
+      copy_range(range.begin(), range.end());
+    });
+  });
 }
 
 }  // namespace fastloop::matching

@@ -200,41 +200,35 @@ bool search_on_device(const Executor& executor, const ProjectionRule& rule,
   return search_on_device(*executor.cuda_session(), {rule, landmarks, targets, want_in_view}, found);
 }
 
-/// Winners of the keypoints of one target as a result for each landmark.
-void expand(std::span<const std::uint64_t> winner, std::span<const std::uint32_t> in_view,
+/// The matches of one target as a result for each landmark.
+void expand(std::span<const KeypointMatch> matches, std::span<const std::uint32_t> in_view,
             std::size_t n, ProjectionMatches& result) {
   result.keypoint.assign(n, kNoMatch);
   result.distance.assign(n, 0);
   result.in_view.resize(n);
   for (std::size_t i = 0; i < n; ++i) result.in_view[i] = in_view[i / 32] >> i % 32 & 1u;
-  result.count = 0;
-  for (std::size_t k = 0; k < winner.size(); ++k) {
-    if (winner[k] == ProjectionFound::kNobody) continue;
-    const std::size_t landmark = winner[k] & 0xffffffffu;
-    result.keypoint[landmark] = static_cast<std::int32_t>(k);
-    result.distance[landmark] = static_cast<std::uint16_t>(winner[k] >> 32);
-    ++result.count;
+  for (const KeypointMatch& m : matches) {
+    result.keypoint[m.landmark] = m.keypoint;
+    result.distance[m.landmark] = m.distance;
   }
+  result.count = static_cast<int>(matches.size());
 }
 
-std::vector<KeypointMatch> matches_of(std::span<const std::uint64_t> winner) {
-  std::vector<KeypointMatch> matches;
-  for (std::size_t k = 0; k < winner.size(); ++k)
-    if (winner[k] != ProjectionFound::kNobody)
-      matches.push_back({static_cast<std::uint32_t>(winner[k]), static_cast<std::uint16_t>(k),
-                         static_cast<std::uint16_t>(winner[k] >> 32)});
-  return matches;
-}
-
-/// The winners as the device reports them.
-std::vector<std::uint64_t> winners_of(std::span<const MatchKey> keys, std::size_t num_keypoints) {
-  std::vector<std::uint64_t> winner(num_keypoints, ProjectionFound::kNobody);
+/// Claims resolved, by keypoint.
+std::vector<KeypointMatch> matches_of(std::span<const MatchKey> keys, std::size_t num_keypoints) {
+  constexpr std::uint64_t kNobody = ~std::uint64_t{0};
+  std::vector<std::uint64_t> winner(num_keypoints, kNobody);  // distance << 32 | landmark
   for (std::size_t i = 0; i < keys.size(); ++i) {
     if (keys[i] == kNoKey) continue;
     std::uint64_t& w = winner[static_cast<std::size_t>(key_index(keys[i]))];
     w = std::min(w, static_cast<std::uint64_t>(key_distance(keys[i])) << 32 | i);
   }
-  return winner;
+  std::vector<KeypointMatch> matches;
+  for (std::size_t k = 0; k < num_keypoints; ++k)
+    if (winner[k] != kNobody)
+      matches.push_back({static_cast<std::uint32_t>(winner[k]), static_cast<std::uint16_t>(k),
+                         static_cast<std::uint16_t>(winner[k] >> 32)});
+  return matches;
 }
 
 }  // namespace
@@ -251,7 +245,7 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
   if (ProjectionFound found; search_on_device(executor, rule, {&job, 1}, true, found)) {
     executor.for_ranges(targets.size(), 1, [&](std::size_t begin, std::size_t end) {
       for (std::size_t t = begin; t < end; ++t)
-        expand(found.winners(t), found.words(t), n, results[t]);
+        expand(found.lists[t], found.words(t), n, results[t]);
     });
     return;
   }
@@ -274,36 +268,23 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
 MatchLists find_by_projection(const Executor& executor, const StereoRig& rig,
                               const PyramidScales& scales, std::span<const ProjectionJob> jobs,
                               const ProjectionSearchOptions& options) {
-  std::size_t num_targets = 0;
-  for (const ProjectionJob& job : jobs) {
-    check_arguments(scales, job, options);
-    num_targets += job.targets.size();
-  }
+  for (const ProjectionJob& job : jobs) check_arguments(scales, job, options);
   const ProjectionRule rule = make_rule(rig, scales, options);
-  std::vector<std::vector<KeypointMatch>> matches(num_targets);
-  if (ProjectionFound found; search_on_device(executor, rule, jobs, false, found)) {
-    for (std::size_t t = 0; t < num_targets; ++t) matches[t] = matches_of(found.winners(t));
-  } else {
-    std::vector<std::vector<MatchKey>> keys(num_targets);
-    std::vector<std::vector<std::uint8_t>> in_view(num_targets);
-    std::size_t first = 0;
-    for (const ProjectionJob& job : jobs) {
-      const std::size_t count = job.targets.size();
-      search_on_host(executor, rule, make_arrays(job.landmarks), job.landmarks.size(),
-                     make_target_views(job.targets), std::span(keys).subspan(first, count),
-                     std::span(in_view).subspan(first, count));
-      executor.for_ranges(count, 1, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t t = begin; t < end; ++t)
-          matches[first + t] =
-              matches_of(winners_of(keys[first + t], job.targets[t].features->size()));
-      });
-      first += count;
-    }
-  }
+  if (ProjectionFound found; search_on_device(executor, rule, jobs, false, found))
+    return std::move(found.lists);
   MatchLists lists;
-  for (const auto& m : matches) {
-    lists.matches.insert(lists.matches.end(), m.begin(), m.end());
-    lists.start.push_back(lists.matches.size());
+  for (const ProjectionJob& job : jobs) {
+    const std::size_t count = job.targets.size();
+    std::vector<std::vector<MatchKey>> keys(count);
+    std::vector<std::vector<std::uint8_t>> in_view(count);
+    std::vector<std::vector<KeypointMatch>> matches(count);
+    search_on_host(executor, rule, make_arrays(job.landmarks), job.landmarks.size(),
+                   make_target_views(job.targets), keys, in_view);
+    executor.for_ranges(count, 1, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin)
+        matches[begin] = matches_of(keys[begin], job.targets[begin].features->size());
+    });
+    for (const auto& m : matches) lists.append(m);
   }
   return lists;
 }

@@ -9,6 +9,7 @@
 #include "fastloop/compute/executor.hpp"
 #include "fastloop/features/feature_set.hpp"
 #include "fastloop/geometry/se3.hpp"
+#include "fastloop/matching/match_lists.hpp"
 #include "fastloop/sensor/stereo_rig.hpp"
 
 namespace fastloop::matching {
@@ -89,24 +90,6 @@ void search_by_projection(const Executor& executor, const StereoRig& rig,
                           const PyramidScales& scales, std::span<const SearchTarget> targets,
                           const LandmarkView& landmarks, const ProjectionSearchOptions& options,
                           std::span<ProjectionMatches> results);
-
-/// A landmark and the keypoint that it won.
-struct KeypointMatch {
-  std::uint32_t landmark;
-  std::uint16_t keypoint;
-  std::uint16_t distance;  ///< Hamming
-  bool operator==(const KeypointMatch&) const = default;
-};
-
-/// The matches of several targets and nothing else: as long as there are matches, not landmarks.
-struct MatchLists {
-  std::vector<KeypointMatch> matches;  ///< of a target: ascending keypoint
-  std::vector<std::size_t> start{0};   ///< [targets + 1]
-  std::size_t size() const { return start.size() - 1; }
-  std::span<const KeypointMatch> operator[](std::size_t target) const {
-    return std::span(matches).subspan(start[target], start[target + 1] - start[target]);
-  }
-};
 
 /// Some landmarks and where to search them.
 struct ProjectionJob {

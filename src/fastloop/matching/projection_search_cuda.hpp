@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "fastloop/compute/cuda_session.hpp"
+#include "fastloop/matching/match_lists.hpp"
 #include "fastloop/matching/projection_math.hpp"
 #include "fastloop/matching/resident_store.hpp"
 
@@ -30,25 +31,18 @@ struct ProjectionCall {
   bool want_in_view = false;
 };
 
-/// Winner of every keypoint: distance << 32 | landmark; kNobody where none claims it.
 struct ProjectionFound {
-  static constexpr std::uint64_t kNobody = ~std::uint64_t{0};
-  std::vector<std::uint64_t> winner;     ///< of all targets, one after another
-  std::vector<std::size_t> first_winner;  ///< [targets + 1]
-  std::vector<std::uint32_t> in_view;     ///< bit i % 32 of word i / 32: landmark i; if wanted
-  std::vector<std::size_t> first_word;    ///< [targets + 1]
-  std::span<const std::uint64_t> winners(std::size_t target) const {
-    return std::span(winner).subspan(first_winner[target],
-                                     first_winner[target + 1] - first_winner[target]);
-  }
+  MatchLists lists;
+  std::vector<std::uint32_t> in_view;   ///< bit i % 32 of word i / 32: landmark i; if wanted
+  std::vector<std::size_t> first_word;  ///< [targets + 1]
   std::span<const std::uint32_t> words(std::size_t target) const {
     return std::span(in_view).subspan(first_word[target],
                                       first_word[target + 1] - first_word[target]);
   }
 };
 
-/// All landmarks in all their targets in one launch, claims resolved, one transfer each way and one
-/// wait. False when the device failed: nothing is found then, and the failure is reported.
+/// All landmarks in all their targets in one launch, claims resolved, at most one copy to the device
+/// and one wait. False when the device failed: nothing is found then, and the failure is reported.
 bool search_on_device(CudaSession& session, const ProjectionCall& call, ProjectionFound& found);
 
 }  // namespace fastloop::matching
