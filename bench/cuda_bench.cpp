@@ -244,6 +244,9 @@ void bag_of_words(const std::shared_ptr<CudaSession>& session, int repeat, std::
     masks.push_back(mask(k));
     make_resident(device, features(k));
   }
+  // As the place database holds them: known not to change, resident after the first call.
+  own.id.assign();
+  for (const FeatureGroups& g : groups) g.id.assign();
   std::vector<MatchSide> seconds;
   for (std::uint32_t k = 0; k < images; ++k) seconds.push_back({features(k).get(), &groups[k], masks[k]});
   const MatchSide first{features(current).get(), &own, own_mask};

@@ -3,6 +3,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "fastloop/features/feature_set.hpp"
+
 namespace fastloop {
 
 /// Keypoints of an image grouped by vocabulary node (CSR): the keypoints of `node[g]` are
@@ -12,6 +14,7 @@ struct FeatureGroups {
   std::vector<std::uint32_t> node;
   std::vector<std::uint32_t> start;  ///< [node.size() + 1]
   std::vector<std::uint16_t> indices;
+  ContentId id;
   bool operator==(const FeatureGroups&) const = default;
 };
 

@@ -1,5 +1,6 @@
 #include "fastloop/matching/candidate_lists.hpp"
 
+#include <algorithm>
 #include <string>
 
 #include "fastloop/core/error.hpp"
@@ -28,7 +29,9 @@ void check_side(const MatchSide& side) {
           "groups: start must have one entry more than node");
   require(g.start.empty() || (g.start.front() == 0 && g.start.back() == g.indices.size()),
           "groups: start must span the indices");
-  for (const std::uint16_t i : g.indices) require(i < n, "groups: keypoint index out of range");
+  std::uint16_t largest = 0;
+  for (const std::uint16_t i : g.indices) largest = std::max(largest, i);
+  require(g.indices.empty() || largest < n, "groups: keypoint index out of range");
 }
 
 CandidateLists::CandidateLists(const MatchSide& first, const MatchSide& second) {

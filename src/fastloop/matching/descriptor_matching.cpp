@@ -1,5 +1,7 @@
 #include "fastloop/matching/descriptor_matching.hpp"
 
+#include <cmath>
+
 #include "fastloop/matching/batch_distances.hpp"
 #include "fastloop/matching/candidate_lists.hpp"
 #include "fastloop/matching/claims.hpp"
@@ -51,6 +53,23 @@ std::vector<std::int32_t> match_on_host(const Executor& executor, const MatchSid
   return matches;
 }
 
+/// The other drop_odd_rotations for a list of the matches.
+void drop_odd_rotations(std::span<const float> first_angle_rad,
+                        std::span<const float> second_angle_rad, std::vector<MatchedPair>& pairs) {
+  const auto bin = [&](const MatchedPair& p) {
+    const float change = first_angle_rad[p.first] - second_angle_rad[p.second];
+    return std::isfinite(change) ? RotationHistogram::bin(change) : -1;
+  };
+  RotationHistogram histogram;
+  for (const MatchedPair& p : pairs)
+    if (const int b = bin(p); b >= 0) histogram.add(b);
+  const auto kept = histogram.kept();
+  std::erase_if(pairs, [&](const MatchedPair& p) {
+    const int b = bin(p);
+    return b >= 0 && !kept[static_cast<std::size_t>(b)];
+  });
+}
+
 /// False where the host must do it.
 bool match_on_device(const Executor& executor, const MatchSide& first,
                      std::span<const MatchSide> seconds, const DescriptorMatchOptions& options,
@@ -64,19 +83,14 @@ bool match_on_device(const Executor& executor, const MatchSide& first,
   };
   DescriptorCall call{flat(first), {}, options.max_distance, options.best_to_second};
   for (const MatchSide& second : seconds) call.seconds.push_back(flat(second));
-  std::vector<std::uint32_t> winner;
-  if (!match_on_device(*executor.cuda_session(), call, winner)) return false;
-  std::vector<std::size_t> start{0};
-  for (const MatchSide& second : seconds) start.push_back(start.back() + second.features->size());
-  executor.for_ranges(seconds.size(), 1, [&](std::size_t begin, std::size_t end) {
-    for (; begin < end; ++begin) {
-      matches[begin].assign(first.features->size(), kNoMatch);
-      for (std::size_t k = start[begin]; k < start[begin + 1]; ++k)
-        if (winner[k] != kNoKey)
-          matches[begin][static_cast<std::size_t>(key_index(winner[k]))] =
-              static_cast<std::int32_t>(k - start[begin]);
-    }
-  });
+  std::vector<std::vector<MatchedPair>> pairs;
+  if (!match_on_device(*executor.cuda_session(), call, pairs)) return false;
+  for (std::size_t s = 0; s < seconds.size(); ++s) {
+    if (options.check_rotation)
+      drop_odd_rotations(first.features->angle_rad, seconds[s].features->angle_rad, pairs[s]);
+    matches[s].assign(first.features->size(), kNoMatch);
+    for (const MatchedPair& p : pairs[s]) matches[s][p.first] = p.second;
+  }
   return true;
 }
 
@@ -87,10 +101,10 @@ std::vector<std::vector<std::int32_t>> match_descriptors(const Executor& executo
                                                          std::span<const MatchSide> seconds,
                                                          const DescriptorMatchOptions& options) {
   std::vector<std::vector<std::int32_t>> matches(seconds.size());
-  const bool done = match_on_device(executor, first, seconds, options, matches);
+  if (match_on_device(executor, first, seconds, options, matches)) return matches;
   executor.for_ranges(seconds.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (; begin < end; ++begin) {
-      if (!done) matches[begin] = match_on_host(executor, first, seconds[begin], options);
+      matches[begin] = match_on_host(executor, first, seconds[begin], options);
       if (options.check_rotation)
         drop_odd_rotations(first.features->angle_rad, seconds[begin].features->angle_rad,
                            matches[begin]);

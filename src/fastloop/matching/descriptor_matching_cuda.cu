@@ -13,19 +13,17 @@ namespace {
 
 constexpr int kWarps = 4;  // of a block
 
-/// Keypoints by vocabulary node, on the device; see FeatureGroups.
-struct GroupView {
-  const std::uint32_t* node;
-  const std::uint32_t* start;
-  const std::uint16_t* indices;
-  int size;
-};
-
+/// An image as the kernel reads it; pointers on the device, or page-locked where they say host. What
+/// follows `groups` is that of a second image.
 struct DeviceSide {
   PackedView features;
   const std::uint8_t* blocked;
   GroupView groups;
-  std::uint32_t* winner;  ///< of a second image
+  /// Distance << 16 | keypoint of the best claim on each keypoint; all bits set before and after.
+  std::uint32_t* winner;
+  unsigned* finished;  ///< blocks that are through with the image; 0 before and after
+  MatchedPair* host_pairs;
+  std::uint32_t* host_num_pairs;
 };
 
 /// Up to 32 keypoints of one group of the first image: the work of a warp, for each second image.
@@ -63,21 +61,14 @@ __device__ void load(const PackedView& f, int keypoint, uint4 out[2]) {
   out[1] = words[1];
 }
 
-/// Each lane has one keypoint of the first image; those of the second pass by in shared memory, 32 at
-/// a time.
-__global__ void __launch_bounds__(32 * kWarps)
-    match_kernel(const DeviceSide first, const DeviceSide* seconds, const Unit* units,
-                 int num_units, int max_distance, float best_to_second) {
-  __shared__ uint4 descriptors[kWarps][32][2];
-  __shared__ std::uint32_t keypoints[kWarps][32];
-  const int warp = static_cast<int>(threadIdx.x) / 32, lane = static_cast<int>(threadIdx.x) % 32;
-  const int u = static_cast<int>(blockIdx.x) * kWarps + warp;
-  if (u >= num_units) return;
-  const Unit unit = units[u];
-  const DeviceSide& second = seconds[blockIdx.y];
+/// The work of a warp. Each lane has one keypoint of the first image; those of the second pass by in
+/// shared memory, 32 at a time.
+__device__ void match_unit(const DeviceSide& first, const DeviceSide& second, const Unit& unit,
+                           int max_distance, float best_to_second, uint4 (*descriptors)[2],
+                           std::uint32_t* keypoints) {
   const int group = find_node(second.groups, unit.node);
   if (group < 0) return;
-
+  const int lane = static_cast<int>(threadIdx.x) % 32;
   const bool mine = unit.begin + lane < unit.end;
   const int own = mine ? first.groups.indices[unit.begin + lane] : 0;
   const bool takes_part = mine && !(first.blocked && first.blocked[own]);
@@ -93,13 +84,13 @@ __global__ void __launch_bounds__(32 * kWarps)
       other = second.groups.indices[begin + lane];
       if (second.blocked && second.blocked[other]) other = kNoKey;
     }
-    keypoints[warp][lane] = other;
-    if (other != kNoKey) load(second.features, static_cast<int>(other), descriptors[warp][lane]);
+    keypoints[lane] = other;
+    if (other != kNoKey) load(second.features, static_cast<int>(other), descriptors[lane]);
     __syncwarp();
     const int count = min(32, static_cast<int>(end - begin));
     for (int j = 0; j < count; ++j)
-      if (const std::uint32_t k = keypoints[warp][j]; k != kNoKey)
-        found.take(static_cast<MatchKey>(distance_between(query, descriptors[warp][j])) << 16 | k);
+      if (const std::uint32_t k = keypoints[j]; k != kNoKey)
+        found.take(static_cast<MatchKey>(distance_between(query, descriptors[j])) << 16 | k);
   }
   if (!takes_part) return;
   const MatchKey key = nearest_of(found, max_distance, best_to_second);
@@ -107,6 +98,82 @@ __global__ void __launch_bounds__(32 * kWarps)
     atomicMin(second.winner + key_index(key),
               static_cast<MatchKey>(key_distance(key)) << 16 | static_cast<MatchKey>(own));
 }
+
+/// Writes the pairs of an image to the host, and leaves its memory as it was before.
+__device__ void report(const DeviceSide& second) {
+  __shared__ int found_by_warp[kWarps];
+  const int n = second.features.size, lane = static_cast<int>(threadIdx.x) % 32;
+  const int warp = static_cast<int>(threadIdx.x) / 32;
+  int written = 0;
+  for (int first = 0; first < n; first += 32 * kWarps) {
+    const int k = first + static_cast<int>(threadIdx.x);
+    std::uint32_t winner = kNoKey;
+    if (k < n) {
+      winner = __ldcg(second.winner + k);
+      second.winner[k] = kNoKey;
+    }
+    const unsigned votes = __ballot_sync(~0u, winner != kNoKey);
+    if (lane == 0) found_by_warp[warp] = __popc(votes);
+    __syncthreads();
+    int place = written + __popc(votes & ((1u << lane) - 1));
+    for (int w = 0; w < kWarps; ++w) {
+      if (w < warp) place += found_by_warp[w];
+      written += found_by_warp[w];
+    }
+    if (winner != kNoKey)
+      second.host_pairs[place] = {static_cast<std::uint16_t>(key_index(winner)),
+                                  static_cast<std::uint16_t>(k)};
+    __syncthreads();
+  }
+  if (threadIdx.x != 0) return;
+  *second.host_num_pairs = static_cast<std::uint32_t>(written);
+  *second.finished = 0;
+}
+
+/// Columns of blocks are units of the first image, rows are second images; the last block of a row
+/// reports it.
+__global__ void __launch_bounds__(32 * kWarps)
+    match_kernel(const __grid_constant__ DeviceSide first, const DeviceSide* seconds,
+                 const Unit* units, int num_units, int max_distance, float best_to_second) {
+  __shared__ uint4 descriptors[kWarps][32][2];
+  __shared__ std::uint32_t keypoints[kWarps][32];
+  __shared__ bool last;
+  const DeviceSide& second = seconds[blockIdx.y];
+  const int warp = static_cast<int>(threadIdx.x) / 32;
+  const int u = static_cast<int>(blockIdx.x) * kWarps + warp;
+  if (u < num_units)
+    match_unit(first, second, units[u], max_distance, best_to_second, descriptors[warp],
+               keypoints[warp]);
+  __threadfence();  // claims are there before the block counts as finished
+  __syncthreads();
+  if (threadIdx.x == 0) {
+    last = atomicAdd(second.finished, 1u) + 1 == gridDim.x;
+    __threadfence();
+  }
+  __syncthreads();
+  if (last) report(second);
+}
+
+/// What matching keeps on the device from call to call, a part of the session.
+struct MatchMemory {
+  explicit MatchMemory(CudaSession&) {}
+  DeviceBuffer<std::uint32_t> winner;
+  DeviceBuffer<unsigned> finished;
+  bool clean = false;  ///< as a call expects them
+
+  void prepare(CudaSession::Impl& cuda, std::size_t winners, std::size_t images) {
+    if (winners > winner.capacity() || images > finished.capacity()) clean = false;
+    winner.reserve(cuda, winners);
+    finished.reserve(cuda, images);
+    if (clean) return;
+    if (winner.capacity() > 0)
+      cuda.check(cudaMemsetAsync(winner.data(), 0xff, winner.capacity() * sizeof(std::uint32_t),
+                                 cuda.stream),
+                 "cudaMemsetAsync");
+    cuda.clear(finished.data(), finished.capacity() * sizeof(unsigned));
+    clean = true;
+  }
+};
 
 /// An image whose keypoints are all compared is one group.
 FeatureGroups one_group(std::size_t n) {
@@ -131,13 +198,11 @@ class Pack {
 
   /// First round: finds a place for everything. Sides must be asked for in the same order in both.
   void plan(const SideToMatch& side, const FeatureGroups& groups) {
-    Places p{pins_.find(*side.features)};
+    Places p{pins_.find(*side.features), pins_.obtain(groups)};
     const std::size_t n = side.features->size();
     if (!p.resident) p.features = layout_.add<std::byte>(packed_bytes(n));
+    if (!p.resident_groups) p.groups = layout_.add<std::byte>(packed_bytes(groups));
     if (side.blocked) p.blocked = layout_.add<std::uint8_t>(n);
-    p.node = layout_.add<std::uint32_t>(groups.node.size());
-    p.start = layout_.add<std::uint32_t>(groups.start.size());
-    p.indices = layout_.add<std::uint16_t>(groups.indices.size());
     places_.push_back(p);
   }
   BlockLayout& layout() { return layout_; }
@@ -148,27 +213,26 @@ class Pack {
     if (count > 0) std::memcpy(host_ + at, source, count * sizeof(T));
     return reinterpret_cast<const T*>(device_ + at);
   }
-  DeviceSide pack(const SideToMatch& side, const FeatureGroups& groups, std::uint32_t* winner) {
+  DeviceSide pack(const SideToMatch& side, const FeatureGroups& groups) {
     const Places& p = places_[next_++];
     const FeatureSet& f = *side.features;
     if (!p.resident) pack_features(f, host_ + p.features);
+    if (!p.resident_groups) pack_groups(groups, host_ + p.groups);
     DeviceSide to;
+    std::memset(static_cast<void*>(&to), 0, sizeof(to));
     to.features = packed_view(p.resident ? p.resident : device_ + p.features,
                               static_cast<int>(f.size()), f.grid.cell_width_px,
                               f.grid.cell_height_px);
     to.blocked = side.blocked ? put(p.blocked, side.blocked, f.size()) : nullptr;
-    to.groups = {put(p.node, groups.node.data(), groups.node.size()),
-                 put(p.start, groups.start.data(), groups.start.size()),
-                 put(p.indices, groups.indices.data(), groups.indices.size()),
-                 static_cast<int>(groups.node.size())};
-    to.winner = winner;
+    to.groups =
+        packed_groups(p.resident_groups ? p.resident_groups : device_ + p.groups, groups);
     return to;
   }
 
  private:
   struct Places {
-    const std::byte* resident;
-    std::size_t features = 0, blocked = 0, node = 0, start = 0, indices = 0;
+    const std::byte *resident, *resident_groups;  ///< null: in the block
+    std::size_t features = 0, groups = 0, blocked = 0;
   };
   ResidentStore::Pins& pins_;
   BlockLayout layout_;
@@ -212,25 +276,43 @@ class Matching {
       batch.units_at = pack_.layout().add<Unit>(batch.units.size());
       batch.sides_at = pack_.layout().add<DeviceSide>(batch.seconds.size());
     }
+    counts_at_ = output_.add<std::uint32_t>(call.seconds.size());
+    pairs_at_ = output_.add<MatchedPair>(num_winners_);
   }
 
   std::size_t input_bytes() { return pack_.layout().bytes(); }
-  std::size_t output_bytes() const { return num_winners_ * sizeof(std::uint32_t); }
+  std::size_t output_bytes() const { return output_.bytes(); }
+  std::size_t num_winners() const { return num_winners_; }
 
-  /// Fills the block at `host`, which is to be copied to `input`.
-  void pack(std::byte* host, std::byte* input, std::uint32_t* winner) {
+  /// Fills the block at `host`, which is to be copied to `input`. The device writes to `output`,
+  /// which is page-locked.
+  void pack(std::byte* host, std::byte* input, std::byte* output, const MatchMemory& memory) {
     pack_.set_memory(host, input);
     for (std::size_t b = 0; b < 2; ++b) {
       const Batch& batch = batches_[b];
       if (batch.seconds.empty()) continue;
-      first_[b] = pack_.pack(call_.first, *batch.first, nullptr);
+      first_[b] = pack_.pack(call_.first, *batch.first);
       units_[b] = pack_.put(batch.units_at, batch.units.data(), batch.units.size());
       std::vector<DeviceSide> sides;
-      for (std::size_t i = 0; i < batch.seconds.size(); ++i)
-        sides.push_back(pack_.pack(call_.seconds[batch.seconds[i]], *batch.groups[i],
-                                   winner + first_winner_[batch.seconds[i]]));
+      for (std::size_t i = 0; i < batch.seconds.size(); ++i) {
+        const std::size_t s = batch.seconds[i];
+        DeviceSide side = pack_.pack(call_.seconds[s], *batch.groups[i]);
+        side.winner = memory.winner.data() + first_winner_[s];
+        side.finished = memory.finished.data() + s;
+        side.host_pairs = reinterpret_cast<MatchedPair*>(output + pairs_at_) + first_winner_[s];
+        side.host_num_pairs = reinterpret_cast<std::uint32_t*>(output + counts_at_) + s;
+        sides.push_back(side);
+      }
       sides_[b] = pack_.put(batch.sides_at, sides.data(), sides.size());
     }
+    std::memset(output + counts_at_, 0, call_.seconds.size() * sizeof(std::uint32_t));
+  }
+  void unpack(const std::byte* output, std::vector<std::vector<MatchedPair>>& pairs) const {
+    const auto* counts = reinterpret_cast<const std::uint32_t*>(output + counts_at_);
+    const auto* all = reinterpret_cast<const MatchedPair*>(output + pairs_at_);
+    pairs.resize(call_.seconds.size());
+    for (std::size_t s = 0; s < pairs.size(); ++s)
+      pairs[s].assign(all + first_winner_[s], all + first_winner_[s] + counts[s]);
   }
   void launch(CudaSession::Impl& cuda) const {
     for (std::size_t b = 0; b < 2; ++b) {
@@ -256,47 +338,48 @@ class Matching {
   Batch batches_[2];  ///< with groups, without
   std::vector<std::size_t> first_winner_;
   std::size_t num_winners_ = 0;
+  BlockLayout output_;
+  std::size_t counts_at_ = 0, pairs_at_ = 0;
   DeviceSide first_[2];
   const Unit* units_[2] = {};
   const DeviceSide* sides_[2] = {};
 };
 
-void run(CudaSession& session, const DescriptorCall& call, std::vector<std::uint32_t>& winner) {
+void run(CudaSession& session, const DescriptorCall& call,
+         std::vector<std::vector<MatchedPair>>& pairs) {
   const CudaRange range("descriptor matching");
   CudaSession::Impl& cuda = session.impl();
   cuda.use();
   const auto store = session.part<ResidentStore>();
   const auto memory = session.part<CudaCallMemory>();
+  const auto matches = session.part<MatchMemory>();
   ResidentStore::Pins pins(*store);
   CudaWaitOnFailure wait(cuda);
   Matching matching(call, pins);
-  const std::size_t bytes = matching.output_bytes();
   memory->staging.reserve(cuda, matching.input_bytes());
   memory->input.reserve(cuda, matching.input_bytes());
-  memory->results.reserve(cuda, bytes);
-  memory->output.reserve(cuda, bytes);
-  matching.pack(memory->staging.data(), memory->input.data(),
-                reinterpret_cast<std::uint32_t*>(memory->output.data()));
+  memory->results.reserve(cuda, matching.output_bytes());
+  matches->prepare(cuda, matching.num_winners(), call.seconds.size());
+  matches->clean = false;  // until the call came to its end
+  matching.pack(memory->staging.data(), memory->input.data(), memory->results.data(), *matches);
   cuda.to_device(memory->input.data(), memory->staging.data(), matching.input_bytes());
-  if (bytes > 0)
-    cuda.check(cudaMemsetAsync(memory->output.data(), 0xff, bytes, cuda.stream), "cudaMemsetAsync");
   pins.order(cuda.stream);
   matching.launch(cuda);
-  cuda.to_host(memory->results.data(), memory->output.data(), bytes);
   cuda.synchronize();
   wait.disarm();
-  winner.resize(bytes / sizeof(std::uint32_t));
-  if (bytes > 0) std::memcpy(winner.data(), memory->results.data(), bytes);
+  matches->clean = true;
+  matching.unpack(memory->results.data(), pairs);
+  for (const auto& p : pairs) cuda.bytes_to_host += p.size() * sizeof(MatchedPair) + 4;
 }
 
 }  // namespace
 
 bool match_on_device(CudaSession& session, const DescriptorCall& call,
-                     std::vector<std::uint32_t>& winner) {
+                     std::vector<std::vector<MatchedPair>>& pairs) {
   const std::lock_guard lock(session.mutex());
   if (!session.usable()) return false;
   try {
-    run(session, call, winner);
+    run(session, call, pairs);
     return true;
   } catch (const CudaError& e) {
     session.report_failure("descriptor matching", e.what());

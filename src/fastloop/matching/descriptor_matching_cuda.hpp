@@ -22,12 +22,16 @@ struct DescriptorCall {
   float best_to_second = 1;
 };
 
+/// Keypoints that match, one of each image.
+struct MatchedPair {
+  std::uint16_t first, second;
+};
+
 /// Matches one image with all others in one launch (two, if only some have groups), claims resolved.
 /// The input must have been checked.
-/// @param[out] winner  for every keypoint of every second image, one image after another: distance
-///                     << 16 | keypoint of `first` that won it, or kNoKey
+/// @param[out] pairs  [seconds] ascending `second`
 /// @return false when the device failed, which is reported
 bool match_on_device(CudaSession& session, const DescriptorCall& call,
-                     std::vector<std::uint32_t>& winner);
+                     std::vector<std::vector<MatchedPair>>& pairs);
 
 }  // namespace fastloop::matching

@@ -2,7 +2,7 @@
 
 namespace fastloop::matching {
 
-bool match_on_device(CudaSession&, const DescriptorCall&, std::vector<std::uint32_t>&) {
+bool match_on_device(CudaSession&, const DescriptorCall&, std::vector<std::vector<MatchedPair>>&) {
   return false;
 }
 

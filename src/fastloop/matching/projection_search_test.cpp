@@ -201,6 +201,46 @@ TEST(ProjectionSearch, ExecutorsAgreeOnManyTargets) {
   }
 }
 
+/// The matches of a result for each landmark, by keypoint.
+std::vector<KeypointMatch> list_of(const ProjectionMatches& m) {
+  std::vector<KeypointMatch> list;
+  for (std::size_t i = 0; i < m.keypoint.size(); ++i)
+    if (m.keypoint[i] != kNoMatch)
+      list.push_back({static_cast<std::uint32_t>(i), static_cast<std::uint16_t>(m.keypoint[i]),
+                      m.distance[i]});
+  std::sort(list.begin(), list.end(),
+            [](const auto& a, const auto& b) { return a.keypoint < b.keypoint; });
+  return list;
+}
+
+TEST(ProjectionSearch, ListsOfSeveralJobsSayTheSame) {
+  std::vector<Scene> scenes;
+  for (unsigned seed = 0; seed < 5; ++seed) {
+    SceneSize size;
+    size.landmarks = seed == 3 ? 0 : 100 + 300 * static_cast<int>(seed);
+    size.targets = seed == 2 ? 0 : 1 + static_cast<int>(seed);
+    scenes.push_back(random_scene(seed, false, size));
+  }
+  std::vector<std::vector<SearchTarget>> targets;
+  for (const Scene& s : scenes) targets.push_back(s.targets());
+  std::vector<ProjectionJob> jobs;
+  for (std::size_t s = 0; s < scenes.size(); ++s)
+    jobs.push_back({scenes[s].landmarks.view(), targets[s]});
+  for (const Executor& executor : {Executor::reference(), Executor::cpu()}) {
+    const MatchLists lists =
+        find_by_projection(executor, scenes[0].rig, scenes[0].scales, jobs, rule(1));
+    std::size_t next = 0, matches = 0;
+    for (const Scene& scene : scenes)
+      for (const ProjectionMatches& expected : run(Executor::reference(), scene, rule(1))) {
+        const auto found = lists[next++];
+        EXPECT_EQ(std::vector<KeypointMatch>(found.begin(), found.end()), list_of(expected));
+        matches += found.size();
+      }
+    EXPECT_EQ(lists.size(), next);
+    EXPECT_GT(matches, 50u);
+  }
+}
+
 TEST(ProjectionSearch, EmptyInputs) {
   SceneSize none;
   none.landmarks = 0;

@@ -9,12 +9,13 @@
 #include "fastloop/compute/cuda_session.hpp"
 #include "fastloop/compute/slab_space.hpp"
 #include "fastloop/matching/packed_features.hpp"
+#include "fastloop/matching/packed_groups.hpp"
 
 namespace fastloop::matching {
 
 /// What a store did and holds.
 struct ResidentStatistics {
-  std::size_t feature_sets = 0;    ///< resident now
+  std::size_t feature_sets = 0;    ///< resident now, and groups of keypoints
   std::size_t bytes_taken = 0;     ///< by feature sets and landmarks
   std::size_t bytes_reserved = 0;  ///< slabs on the device
   std::uint64_t uploads = 0, evictions = 0;
@@ -22,8 +23,8 @@ struct ResidentStatistics {
 
 class ResidentLandmarks;
 
-/// Copies on the device of what searches read again and again: features of keyframes, and the
-/// landmarks of a place for as long as a search for it goes on. Features are found by their ContentId;
+/// Copies on the device of what searches read again and again: features of keyframes, their groups
+/// by vocabulary node, and the landmarks of a place for as long as a search for it goes on. Features are found by their ContentId;
 /// they are evicted, least recently used first, when the budget is reached, and uploaded anew by who
 /// needs them: nothing is lost, the host has them all. Memory comes in slabs that stay where they
 /// are; there is no fixed number of anything. Safe to use from several threads.
@@ -65,12 +66,17 @@ class ResidentStore {
     Pins& operator=(const Pins&) = delete;
     /// Device address of the packed features; null when they are not resident.
     const std::byte* find(const FeatureSet& features);
+    /// Device address of packed groups, which are uploaded if they are not there yet; null when they
+    /// have no name or there is no room.
+    const std::byte* obtain(const FeatureGroups& groups);
     /// Device address of packed landmarks; null when they belong to another store.
     const std::byte* find(const ResidentLandmarks& landmarks);
     /// What comes later on `stream` (a cudaStream_t) finds the uploads of everything pinned done.
     void order(void* stream);
 
    private:
+    const std::byte* find(std::uint64_t id);
+
     ResidentStore& store_;
     std::vector<std::uint64_t> ids_;
     std::uint64_t ticket_ = 0;

@@ -22,6 +22,7 @@ struct Entry {
   std::uint64_t ticket = 0;  ///< of its upload
   int pins = 0;
   std::weak_ptr<const FeatureSet> features;
+  bool has_owner = false;  ///< `features` tells when the set is gone
 };
 
 /// Page-locked memory on the way of one upload.
@@ -46,6 +47,9 @@ struct ResidentStore::Impl {
   void forget_dead();
   template <class Pack>
   std::uint64_t upload(const SlabSpace::Block& block, std::size_t bytes, const Pack& pack);
+  /// Finds room for a set, uploads and enters it; null when there is no room.
+  template <class Pack>
+  Entry* insert(std::uint64_t id, std::size_t bytes, const Pack& pack);
   /// Runs body() and turns a failure of the device into a report.
   template <class Body>
   bool guarded(const Body& body);
@@ -140,7 +144,7 @@ void ResidentStore::Impl::forget_dead() {
   for (int i = 0; i < 4 && !entries.empty(); ++i) {
     if (next_checked == entries.end()) next_checked = entries.begin();
     const auto entry = next_checked++;
-    if (entry->pins == 0 && entry->features.expired()) remove(entry);
+    if (entry->pins == 0 && entry->has_owner && entry->features.expired()) remove(entry);
   }
 }
 
@@ -167,6 +171,24 @@ std::uint64_t ResidentStore::Impl::upload(const SlabSpace::Block& block, std::si
   last_done = staging.done;
   ++counts.uploads;
   return ++last_ticket;
+}
+
+template <class Pack>
+Entry* ResidentStore::Impl::insert(std::uint64_t id, std::size_t bytes, const Pack& pack) {
+  const auto block = allocate(bytes);
+  if (!block) return nullptr;
+  Entry entry;
+  entry.id = id;
+  entry.block = *block;
+  try {
+    entry.ticket = upload(*block, bytes, pack);
+  } catch (...) {
+    space.give_back(*block);
+    throw;
+  }
+  entries.push_front(std::move(entry));
+  by_id.emplace(id, entries.begin());
+  return &entries.front();
 }
 
 template <class Body>
@@ -197,19 +219,11 @@ void ResidentStore::prefetch(const std::shared_ptr<const FeatureSet>& features) 
       return true;
     }
     s.forget_dead();
-    const std::size_t bytes = packed_bytes(features->size());
-    const auto block = s.allocate(bytes);
-    if (!block) return false;
-    Entry entry{id, *block, 0, 0, features};
-    try {
-      entry.ticket =
-          s.upload(*block, bytes, [&](std::byte* out) { pack_features(*features, out); });
-    } catch (...) {
-      s.space.give_back(*block);
-      throw;
-    }
-    s.entries.push_front(std::move(entry));
-    s.by_id.emplace(id, s.entries.begin());
+    Entry* entry = s.insert(id, packed_bytes(features->size()),
+                            [&](std::byte* out) { pack_features(*features, out); });
+    if (!entry) return false;
+    entry->features = features;
+    entry->has_owner = true;
     return true;
   });
 }
@@ -274,11 +288,8 @@ ResidentStore::Pins::~Pins() {
   for (const std::uint64_t id : ids_) --store_.impl_->by_id.at(id)->pins;
 }
 
-const std::byte* ResidentStore::Pins::find(const FeatureSet& features) {
+const std::byte* ResidentStore::Pins::find(std::uint64_t id) {
   Impl& s = *store_.impl_;
-  const std::uint64_t id = features.id.value();
-  if (id == 0) return nullptr;
-  const std::lock_guard lock(s.mutex);
   const auto known = s.by_id.find(id);
   if (known == s.by_id.end()) return nullptr;
   Entry& entry = *known->second;
@@ -287,6 +298,22 @@ const std::byte* ResidentStore::Pins::find(const FeatureSet& features) {
   ++entry.pins;
   ticket_ = std::max(ticket_, entry.ticket);
   return s.address(entry.block);
+}
+
+const std::byte* ResidentStore::Pins::find(const FeatureSet& features) {
+  if (features.id.value() == 0) return nullptr;
+  const std::lock_guard lock(store_.impl_->mutex);
+  return find(features.id.value());
+}
+
+const std::byte* ResidentStore::Pins::obtain(const FeatureGroups& groups) {
+  const std::uint64_t id = groups.id.value();
+  if (id == 0) return nullptr;
+  Impl& s = *store_.impl_;
+  const std::lock_guard lock(s.mutex);
+  if (const std::byte* there = find(id)) return there;
+  const auto pack = [&](std::byte* out) { pack_groups(groups, out); };
+  return s.insert(id, packed_bytes(groups), pack) ? find(id) : nullptr;
 }
 
 const std::byte* ResidentStore::Pins::find(const ResidentLandmarks& landmarks) {

@@ -19,6 +19,8 @@ ResidentStatistics ResidentStore::statistics() const { return {}; }
 
 ResidentStore::Pins::~Pins() = default;
 const std::byte* ResidentStore::Pins::find(const FeatureSet&) { return nullptr; }
+const std::byte* ResidentStore::Pins::find(std::uint64_t) { return nullptr; }
+const std::byte* ResidentStore::Pins::obtain(const FeatureGroups&) { return nullptr; }
 const std::byte* ResidentStore::Pins::find(const ResidentLandmarks&) { return nullptr; }
 void ResidentStore::Pins::order(void*) {}
 

@@ -9,7 +9,9 @@ PlaceDatabase::PlaceDatabase(const Vocabulary& vocabulary)
 
 PlaceDatabase::Words PlaceDatabase::words_of(std::span<const Descriptor> descriptors,
                                              const Executor& executor) const {
-  return std::make_shared<const BagOfWords>(vocabulary_.transform(descriptors, executor));
+  Words words = std::make_shared<const BagOfWords>(vocabulary_.transform(descriptors, executor));
+  words->groups.id.assign();  // nobody changes them any more
+  return words;
 }
 
 void PlaceDatabase::insert(KeyframeId keyframe, Words words) {
