@@ -33,7 +33,7 @@ struct CostModel {
   };
   std::array<Costs, kNumSteps> steps;
 
-  /// Measured on an Intel Xeon with an NVIDIA H200; `threads` divide the CPU's part.
+  /// Measured on an Intel Xeon (16 cores) with an NVIDIA H200.
   static CostModel defaults(int threads);
 
   const Costs& of(Step step) const { return steps[static_cast<std::size_t>(step)]; }

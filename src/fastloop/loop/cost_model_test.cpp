@@ -108,7 +108,7 @@ TEST_F(CostModelFile, LiesInTheCacheFolder) {
 }
 
 TEST(CostModel, LittleWorkStaysOnTheCpuAndMuchGoesToTheDevice) {
-  for (const int threads : {1, 2, 16, 32}) {
+  for (const int threads : {1, 2, 16}) {
     const CostModel m = CostModel::defaults(threads);
     for (int s = 0; s < kNumSteps; ++s) {
       EXPECT_FALSE(m.device_wins(static_cast<Step>(s), 0)) << to_string(static_cast<Step>(s));

@@ -151,7 +151,8 @@ Fusion fuse_loop(const StepExecutors& executors, const Snapshot& snapshot, const
                  const map::LandmarkArrays& cloud) {
   if (executors.reference())
     return fuse_loop_reference(snapshot, options, match, moved, cloud);
-  const PlaceSearch place{&cloud, moved, nullptr};
+  auto resident = match.resident;
+  const PlaceSearch place{&cloud, moved, resident ? &resident : nullptr};
   const matching::MatchLists found =
       find_in_keyframes(executors, snapshot, {&place, 1}, options.fusion_radius_px,
                         options.fusion_max_distance);

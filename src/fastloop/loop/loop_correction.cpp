@@ -118,11 +118,13 @@ LoopCorrection compute_correction(const Snapshot& snapshot, const RegionMatch& m
   }
   clock.lap("correct_poses");
 
-  const map::LandmarkArrays cloud(
-      snapshot,
-      map::landmarks_of(snapshot, window_of(snapshot, match.matched, options.window_covisibles)),
-      executors.host());
-  Fusion fusion = fuse_loop(executors, snapshot, options, match, moved, cloud);
+  std::shared_ptr<const map::LandmarkArrays> cloud = match.cloud;
+  if (!cloud)
+    cloud = std::make_shared<map::LandmarkArrays>(
+        snapshot,
+        map::landmarks_of(snapshot, window_of(snapshot, match.matched, options.window_covisibles)),
+        executors.host());
+  Fusion fusion = fuse_loop(executors, snapshot, options, match, moved, *cloud);
   clock.lap("loop_fusion");
   if (match.merge) {
     merge_rigidly(snapshot, match, T_new_old, c);

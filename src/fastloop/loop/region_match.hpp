@@ -1,9 +1,11 @@
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "fastloop/core/ids.hpp"
 #include "fastloop/geometry/se3.hpp"
+#include "fastloop/map/landmark_arrays.hpp"
 
 namespace fastloop::loop {
 
@@ -15,6 +17,10 @@ struct RegionMatch {
   SE3 T_camera_world;                 ///< left camera of `current` in the world of `matched`
   std::vector<LandmarkId> landmarks;  ///< [keypoints of current] of the matched side; invalid: none
   int num_matches = 0;
+  /// The landmarks around `matched`, where verification has gathered them already, and their copy on
+  /// the device.
+  std::shared_ptr<const map::LandmarkArrays> cloud;
+  std::shared_ptr<const matching::ResidentLandmarks> resident;
 };
 
 }  // namespace fastloop::loop

@@ -17,7 +17,7 @@ struct Verifier::Hypothesis {
   Verified* out = nullptr;
   std::vector<KeyframeId> window;
   std::vector<LandmarkPair> pairs;  ///< matched by descriptor, then by projection
-  LandmarkArrays cloud;
+  std::shared_ptr<const LandmarkArrays> cloud;
   std::shared_ptr<const matching::ResidentLandmarks> resident;  ///< the cloud on the device
   SE3 T_camera_world;
   std::vector<matching::KeypointMatch> found;  ///< of the cloud in the current keyframe, by landmark
@@ -52,7 +52,7 @@ void Verifier::search(const Snapshot& snapshot, KeyframeId current,
   for (const Hypothesis* h : alive) moved.push_back({current, h->T_camera_world});
   std::vector<PlaceSearch> places;
   for (std::size_t i = 0; i < alive.size(); ++i)
-    places.push_back({&alive[i]->cloud, {&moved[i], 1}, &alive[i]->resident});
+    places.push_back({alive[i]->cloud.get(), {&moved[i], 1}, &alive[i]->resident});
   const matching::MatchLists found =
       find_in_keyframes(executors_, snapshot, places, radius_px, max_distance);
   for (std::size_t i = 0; i < alive.size(); ++i) {
@@ -140,7 +140,7 @@ void Verifier::solve_similarities(const Snapshot& snapshot, KeyframeId current,
 bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& h,
                       int min_inliers) const {
   const std::vector<optimization::SimilarityPair> pairs =
-      make_refinement_pairs(snapshot, current, h.window, h.cloud, h.found);
+      make_refinement_pairs(snapshot, current, h.window, *h.cloud, h.found);
   const bool published = executors_.reference();
   const optimization::SimilarityResult refined =
       (published ? optimization::refine_similarity_reference : optimization::refine_similarity)(
@@ -159,7 +159,8 @@ void Verifier::guide(const Snapshot& snapshot, KeyframeId current,
   executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
     for (; begin < end; ++begin)
       if (Hypothesis& h = hypotheses[begin]; h.alive())
-        h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
+        h.cloud = std::make_shared<LandmarkArrays>(
+            snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
   });
   search(snapshot, current, hypotheses, o.wide_radius_px, o.wide_max_distance);
   executors_.host().for_ranges(hypotheses.size(), 1, [&](std::size_t begin, std::size_t end) {
@@ -172,9 +173,12 @@ void Verifier::guide(const Snapshot& snapshot, KeyframeId current,
   search(snapshot, current, hypotheses, o.narrow_radius_px, o.narrow_max_distance);
   for (Hypothesis& h : hypotheses)
     if (h.alive() && h.gate("narrow projection matches", h.count(), o.min_narrow_matches,
-                            h.count() >= o.min_narrow_matches))
-      h.out->match =
-          make_region_match(snapshot, current, h.window.front(), h.T_camera_world, h.cloud, h.found);
+                            h.count() >= o.min_narrow_matches)) {
+      h.out->match = make_region_match(snapshot, current, h.window.front(), h.T_camera_world,
+                                       *h.cloud, h.found);
+      h.out->match.cloud = h.cloud;
+      h.out->match.resident = h.resident;
+    }
 }
 
 void Verifier::confirm(const Snapshot& snapshot, KeyframeId current,
@@ -205,7 +209,7 @@ void Verifier::confirm(const Snapshot& snapshot, KeyframeId current,
         p.moved.push_back({others[i], snapshot.T_world_camera(others[i]).inverse() *
                                           T_world_current * p.of->T_camera_world});
       p.next += n;
-      if (n > 0) places.push_back({&p.of->cloud, p.moved, &p.of->resident});
+      if (n > 0) places.push_back({p.of->cloud.get(), p.moved, &p.of->resident});
     }
     searched = !places.empty();
     if (!searched) break;
@@ -263,7 +267,8 @@ Verified Verifier::recheck(const Snapshot& snapshot, KeyframeId current, Keyfram
           h.window.push_back(second);
   }
   h.T_camera_world = predicted_T_camera_world;
-  h.cloud = LandmarkArrays(snapshot, map::landmarks_of(snapshot, h.window), executors_.host());
+  h.cloud = std::make_shared<LandmarkArrays>(snapshot, map::landmarks_of(snapshot, h.window),
+                                             executors_.host());
   search(snapshot, current, {&h, 1}, o.covisible_radius_px, o.covisible_max_distance);
   if (h.gate("projection matches", h.count(), o.min_covisible_matches,
              h.count() >= o.min_covisible_matches) &&
@@ -273,7 +278,7 @@ Verified Verifier::recheck(const Snapshot& snapshot, KeyframeId current, Keyfram
                h.count() >= o.min_recheck_matches)) {
       verified.confirmations = 1;
       verified.match =
-          make_region_match(snapshot, current, matched, h.T_camera_world, h.cloud, h.found);
+          make_region_match(snapshot, current, matched, h.T_camera_world, *h.cloud, h.found);
     }
   }
   clock.lap("recheck");

@@ -1,6 +1,7 @@
 #include "fastloop/map/correction.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <mutex>
 #include <queue>
 
@@ -130,22 +131,33 @@ Fault check_edge(const Snapshot& map, const LoopCorrection& c, const Corrected& 
 
 /// What the loop adds must fit the images under the corrected poses.
 Fault check_added(const Snapshot& map, const LoopCorrection& c, const Corrected& corrected,
-                  const CorrectionLimits& limits) {
-  std::size_t total = 0, good = 0;
-  const auto look = [&](const Vector3d& p, KeyframeId keyframe, std::uint32_t keypoint) {
-    ++total;
+                  const CorrectionLimits& limits, const Executor& executor) {
+  std::atomic<std::size_t> total = 0, good = 0;
+  const auto fits = [&](LandmarkId landmark, KeyframeId keyframe, std::uint32_t keypoint) {
     const SE3 T_world_camera = corrected.T_world_body(keyframe) * map.rig().T_body_left;
-    good += error_px(map, T_world_camera.inverse(), p, *map.keyframe(keyframe).data->features,
-                     keypoint) <= limits.observation_gate_px;
+    return error_px(map, T_world_camera.inverse(), corrected.p_world(landmark),
+                    *map.keyframe(keyframe).data->features,
+                    keypoint) <= limits.observation_gate_px;
   };
-  for (const NewObservation& o : c.observations)
-    if (map.contains(o.landmark) && map.contains(o.keyframe))
-      look(corrected.p_world(o.landmark), o.keyframe, o.keypoint);
-  for (const LandmarkMerge& m : c.merges)
-    if (map.contains(m.loser) && map.contains(m.winner)) {
-      const Observation& o = map.landmark(m.loser).observations.back();
-      look(corrected.p_world(m.winner), o.keyframe, o.keypoint);
+  const std::size_t joined = c.merges.size();
+  executor.for_ranges(joined + c.observations.size(), 128, [&](std::size_t begin, std::size_t end) {
+    std::size_t seen = 0, fitting = 0;
+    for (; begin < end; ++begin) {
+      if (begin < joined) {
+        const LandmarkMerge& m = c.merges[begin];
+        if (!map.contains(m.loser) || !map.contains(m.winner)) continue;
+        const Observation& o = map.landmark(m.loser).observations.back();
+        fitting += fits(m.winner, o.keyframe, o.keypoint);
+      } else {
+        const NewObservation& o = c.observations[begin - joined];
+        if (!map.contains(o.landmark) || !map.contains(o.keyframe)) continue;
+        fitting += fits(o.landmark, o.keyframe, o.keypoint);
+      }
+      ++seen;
     }
+    total += seen;
+    good += fitting;
+  });
   if (2 * good < total)
     return "only " + std::to_string(good) + " of " + std::to_string(total) +
            " joined observations fit the corrected poses";
@@ -306,7 +318,7 @@ Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionL
   const Corrected corrected(map, c);
   if (c.kind != LoopCorrection::Kind::kAdjustment) {
     if (Fault fault = check_edge(map, c, corrected, limits)) return fault;
-    if (Fault fault = check_added(map, c, corrected, limits)) return fault;
+    if (Fault fault = check_added(map, c, corrected, limits, executor)) return fault;
     if (Fault fault = check_connected(map, c)) return fault;
   }
   return c.points.empty() ? check_growth(map, c, corrected, limits, executor) : std::nullopt;

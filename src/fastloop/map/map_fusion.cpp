@@ -64,11 +64,13 @@ bool earlier(const Observation& a, const Observation& b) {
   return a.keyframe < b.keyframe;
 }
 
-/// The observations of two landmarks, split by whether the winner may take the loser's.
+/// The observations of two landmarks, split by whether the winner may take the loser's. One object
+/// serves many pairs, so that its lists are allocated once.
 struct JoinedObservations {
   std::vector<Observation> moved, refused, all;
-  JoinedObservations(const std::vector<Observation>& loser,
-                     const std::vector<Observation>& winner) {
+  void join(const std::vector<Observation>& loser, const std::vector<Observation>& winner) {
+    moved.clear();
+    refused.clear();
     std::set_difference(loser.begin(), loser.end(), winner.begin(), winner.end(),
                         std::back_inserter(moved), earlier);
     if (moved.size() < loser.size())
@@ -86,10 +88,32 @@ class LandmarkFusion {
  public:
   LandmarkFusion(Map& map, SharedChanges& changes) : map_(map), changes_(changes) {}
 
+  /// Clones what snapshots share of the landmarks to be written to, on all cores: a chunk holds
+  /// many lists, and cloning one after another would take longer than all the rest.
+  void unshare(const Executor& executor, std::span<const LandmarkMerge> merges,
+               std::span<const NewObservation> observations) {
+    constexpr std::size_t kChunk = Map::Landmarks::kItems;
+    std::vector<std::uint8_t> wanted(map_.landmark_slots() / kChunk + 1, 0);
+    const auto want = [&](LandmarkId id) {
+      if (id = map_.resolve(id); id.valid()) wanted[id.value() / kChunk] = 1;
+    };
+    for (const LandmarkMerge& m : merges) {
+      want(m.loser);
+      want(m.winner);
+    }
+    for (const NewObservation& o : observations) want(o.landmark);
+    std::vector<std::size_t> chunks;
+    for (std::size_t c = 0; c < wanted.size(); ++c)
+      if (wanted[c]) chunks.push_back(c);
+    executor.for_ranges(chunks.size(), 4, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin) map_.landmarks_.mutate(chunks[begin] * kChunk);
+    });
+  }
+
   bool merge(LandmarkId loser, LandmarkId winner) {
     if (!loser.valid() || !winner.valid() || loser == winner) return false;
-    const JoinedObservations joined(map_.landmark(loser).observations,
-                                    map_.landmark(winner).observations);
+    JoinedObservations& joined = joined_;
+    joined.join(map_.landmark(loser).observations, map_.landmark(winner).observations);
     // Pairs that saw the loser together now see the winner; new are those across.
     for (const Observation& o : joined.moved) {
       changes_.add(o.keyframe, map_.landmark(winner).observations, +1);
@@ -182,6 +206,7 @@ class LandmarkFusion {
 
   Map& map_;
   SharedChanges& changes_;
+  JoinedObservations joined_;
   std::vector<LandmarkId> touched_;
 };
 
@@ -195,6 +220,7 @@ Map::FusionOutcome Map::fuse_landmarks(const Executor& executor,
   if (!changes.fits()) return fuse_landmarks_reference(merges, observations);
   FusionOutcome outcome;
   LandmarkFusion fusion(*this, changes);
+  fusion.unshare(executor, merges, observations);
   for (const LandmarkMerge& m : merges)
     outcome.merged += fusion.merge(resolve(m.loser), resolve(m.winner));
   for (const NewObservation& o : observations)
