@@ -273,7 +273,7 @@ void cuda(benchmark::State& state, const std::string& shape, int dof, int poses)
     const double one = time_of(PoseGraphSolverKind::kBlock, 1);
     const double all = time_of(PoseGraphSolverKind::kBlock, cores);
     const double cost = result.final_cost;
-    const double device = time_of(PoseGraphSolverKind::kCuda, 1);
+    const double device = time_of(PoseGraphSolverKind::kCuda, cores);
     if (!result.on_device) state.SkipWithError("no CUDA device");
     state.SetIterationTime(1e-3 * device);
     state.counters["block_1_ms"] = one;

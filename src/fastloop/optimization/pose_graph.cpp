@@ -33,6 +33,17 @@ void solve_pose_graph(PoseGraphProblem& problem, const PoseGraphOptions& options
   const Stopwatch watch;
   options.validate();
   reset(result);
+  std::optional<PoseGraphPlan> temporary;
+  const bool cuda = options.solver == PoseGraphSolverKind::kCuda;
+  if (plan == nullptr && (cuda || options.solver == PoseGraphSolverKind::kBlock))
+    plan = &temporary.emplace();
+  if (cuda) {  // checks the problem on its way
+    if (plan->impl().solve_on_device(problem, options, result)) {
+      result.times.total_ms = watch.elapsed_ms();
+      return;
+    }
+    reset(result);
+  }
   if (std::optional<std::string> error = find_pose_graph_error(problem)) {
     result.status = PoseGraphStatus::kInvalidProblem;
     result.reason = std::move(*error);
@@ -40,15 +51,9 @@ void solve_pose_graph(PoseGraphProblem& problem, const PoseGraphOptions& options
   }
   switch (options.solver) {
     case PoseGraphSolverKind::kBlock:
-    case PoseGraphSolverKind::kCuda: {
-      std::optional<PoseGraphPlan> temporary;
-      if (plan == nullptr) plan = &temporary.emplace();
-      const bool cuda = options.solver == PoseGraphSolverKind::kCuda;
-      if (cuda && plan->impl().solve_on_device(problem, options, result)) break;
-      reset(result);
+    case PoseGraphSolverKind::kCuda:
       plan->impl().solve(problem, options, result);
       break;
-    }
     case PoseGraphSolverKind::kCeres:
       solve_with_ceres(problem, options, result);
       break;

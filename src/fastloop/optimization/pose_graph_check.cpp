@@ -10,10 +10,6 @@
 namespace fastloop::optimization {
 namespace {
 
-bool is_pose(const Sim3& pose) {
-  return pose.is_finite() && pose.scale > 0 && std::abs(pose.rotation.squaredNorm() - 1) < 1e-6;
-}
-
 /// Message of what is wrong with an information matrix, or null.
 const char* information_fault(const PoseGraphInformation& full, int size) {
   const auto m = full.topLeftCorner(size, size);
@@ -50,17 +46,27 @@ void PoseGraphOptions::validate() const {
   require(initial_trust_region_radius > 0, "initial_trust_region_radius must be positive");
 }
 
+bool is_valid_pose(const Sim3& pose) {
+  return pose.is_finite() && pose.scale > 0 && std::abs(pose.rotation.squaredNorm() - 1) < 1e-6;
+}
+
+std::optional<std::string> find_information_error(const PoseGraphProblem& problem) {
+  const int size = residual_size(problem.kind);
+  for (std::size_t k = 0; k < problem.information.size(); ++k)
+    if (const char* fault = information_fault(problem.information[k], size))
+      return "information matrix " + std::to_string(k) + " " + fault;
+  return std::nullopt;
+}
+
 std::optional<std::string> find_pose_graph_error(const PoseGraphProblem& problem) {
   const int n = static_cast<int>(problem.poses.size());
   if (!problem.fixed.empty() && problem.fixed.size() != problem.poses.size())
     return "fixed has " + std::to_string(problem.fixed.size()) + " entries for " +
            std::to_string(n) + " poses";
   for (int i = 0; i < n; ++i)
-    if (!is_pose(problem.poses[i])) return "pose " + std::to_string(i) + " is not a finite pose";
-  const int size = residual_size(problem.kind);
-  for (std::size_t k = 0; k < problem.information.size(); ++k)
-    if (const char* fault = information_fault(problem.information[k], size))
-      return "information matrix " + std::to_string(k) + " " + fault;
+    if (!is_valid_pose(problem.poses[i]))
+      return "pose " + std::to_string(i) + " is not a finite pose";
+  if (std::optional<std::string> error = find_information_error(problem)) return error;
   for (std::size_t k = 0; k < problem.edges.size(); ++k) {
     const PoseGraphEdge& e = problem.edges[k];
     const auto fault = [k](const std::string& what) {
@@ -72,7 +78,7 @@ std::optional<std::string> find_pose_graph_error(const PoseGraphProblem& problem
     if (e.from == e.to) return fault("joins vertex " + std::to_string(e.from) + " to itself");
     if (e.information < 0 || e.information >= static_cast<int>(problem.information.size()))
       return fault("refers to a missing information matrix");
-    if (!is_pose(e.T_from_to)) return fault("has a measurement that is not a finite pose");
+    if (!is_valid_pose(e.T_from_to)) return fault("has a measurement that is not a finite pose");
   }
   return std::nullopt;
 }

@@ -7,6 +7,11 @@
 
 namespace fastloop::optimization {
 
+/// Finite, positive scale, a unit quaternion.
+bool is_valid_pose(const Sim3& pose);
+/// What is wrong with the information matrices, or nothing.
+std::optional<std::string> find_information_error(const PoseGraphProblem& problem);
+
 /// Vertices that do not move in a solve, and why.
 struct HeldVertices {
   std::vector<std::uint8_t> held;  ///< [n] fixed, anchor of its component, or without edges

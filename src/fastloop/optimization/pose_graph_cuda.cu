@@ -63,7 +63,7 @@ class CudaExecutor : public StepExecutor {
   }
 
   void set_schedule(const Schedule& s, block::EdgeModel model) override;
-  Numbers stage(std::size_t edges, std::size_t matrices) override;
+  Numbers stage(std::size_t poses, std::size_t edges, std::size_t matrices) override;
   double start(int robust_kernel, double robust_width) override;
   double restart(int robust_kernel) override;
   StepResult factor_step(double lambda) override;
@@ -109,7 +109,7 @@ class CudaExecutor : public StepExecutor {
   PinnedBuffer<StepResult> result_;
   double* poses_[2] = {};
   double* normal_[2] = {};
-  std::size_t numbers_doubles_ = 0, information_at_ = 0;
+  std::size_t numbers_doubles_ = 0, measurement_at_ = 0, matrices_at_ = 0, information_at_ = 0;
 };
 
 void CudaExecutor::upload(const Schedule& s) {
@@ -224,22 +224,16 @@ void CudaExecutor::set_schedule(const Schedule& s, block::EdgeModel model) {
   });
 }
 
-Numbers CudaExecutor::stage(std::size_t edges, std::size_t matrices) {
-  const std::size_t poses = (pose_doubles() + 31) / 32 * 32;
-  const std::size_t measurement_at = poses, matrices_at = measurement_at + 8 * edges;
-  information_at_ = matrices_at + 28 * matrices;
+Numbers CudaExecutor::stage(std::size_t poses, std::size_t edges, std::size_t matrices) {
+  measurement_at_ = (8 * poses + 31) / 32 * 32;
+  matrices_at_ = measurement_at_ + 8 * edges;
+  information_at_ = matrices_at_ + 28 * matrices;
   numbers_doubles_ = information_at_ + (edges + 1) / 2;
   numbers_staging_.reserve(cuda_, numbers_doubles_);
-  numbers_.reserve(cuda_, numbers_doubles_ + poses);
-  double* to = numbers_.data();
-  poses_[0] = to;
-  poses_[1] = to + (numbers_doubles_ + 1) / 2 * 2;
-  view_.measurement = to + measurement_at;
-  view_.matrices = to + matrices_at;
-  view_.information = reinterpret_cast<const std::int32_t*>(to + information_at_);
+  numbers_.reserve(cuda_, numbers_doubles_ + measurement_at_ + 2);
   double* from = numbers_staging_.data();
-  return {from, from + measurement_at, reinterpret_cast<std::int32_t*>(from + information_at_),
-          from + matrices_at};
+  return {from, from + measurement_at_, reinterpret_cast<std::int32_t*>(from + information_at_),
+          from + matrices_at_};
 }
 
 template <EdgeModel M>
@@ -268,7 +262,13 @@ StepResult CudaExecutor::wait_for_result() {
 
 double CudaExecutor::start(int robust_kernel, double robust_width) {
   view_.robust_width = robust_width;
-  cuda_.to_device(numbers_.data(), numbers_staging_.data(), numbers_doubles_ * sizeof(double));
+  double* to = numbers_.data();
+  poses_[0] = to;
+  poses_[1] = to + (numbers_doubles_ + 1) / 2 * 2;
+  view_.measurement = to + measurement_at_;
+  view_.matrices = to + matrices_at_;
+  view_.information = reinterpret_cast<const std::int32_t*>(to + information_at_);
+  cuda_.to_device(to, numbers_staging_.data(), numbers_doubles_ * sizeof(double));
   FASTLOOP_CUDA_CHECK(cuda_, cudaMemcpyAsync(poses_[1], poses_[0], pose_doubles() * sizeof(double),
                                              cudaMemcpyDeviceToDevice, cuda_.stream));
   now_ = 0;

@@ -40,6 +40,9 @@ void put(const Sim3& pose, double* p) {
   p[7] = pose.scale;
 }
 
+/// Poses or edges that one thread walks over at a time.
+constexpr std::size_t kWalk = 4096;
+
 /// Vertices of a leaf: more means fewer levels and more arithmetic.
 int leaf_size(int block_size) {
   return block_size == 4 ? 16 : 12;
@@ -90,26 +93,80 @@ class Solver::Steps {
   StepResult last_{};
 };
 
-bool Solver::same_structure(const PoseGraphProblem& problem) const {
-  if (num_poses_ != static_cast<int>(problem.poses.size()) || model_ != model_of(problem) ||
-      ends_.size() != 2 * problem.edges.size())
-    return false;
-  for (int i = 0; i < num_poses_; ++i)
-    if (fixed_at(problem, i) != (fixed_[i] != 0)) return false;
-  bool same = true;
-  for (std::size_t k = 0; k < problem.edges.size() && same; ++k) {
-    const PoseGraphEdge& e = problem.edges[k];
-    same = ends_[2 * k] == e.from && ends_[2 * k + 1] == e.to &&
-           zero_matrix_[e.information] == zero_edge_[k];
+/// One walk over the problem that checks it, compares it with the structure kept, and hands the
+/// numbers over: memory is read once.
+Solver::Walk Solver::load(const PoseGraphProblem& problem, const PoseGraphOptions& options) {
+  const std::size_t n = problem.poses.size(), m = problem.edges.size();
+  if (!problem.fixed.empty() && problem.fixed.size() != n) return {false, false};
+  if (find_information_error(problem)) return {false, false};
+  zero_matrix_.resize(problem.information.size());
+  numbers_ = executor_->stage(n, m, problem.information.size());
+  for (std::size_t k = 0; k < zero_matrix_.size(); ++k) {
+    zero_matrix_[k] = is_zero_information(problem, problem.information[k]);
+    for (int r = 0; r < 7; ++r)
+      for (int c = 0; c <= r; ++c)
+        numbers_.matrices[28 * k + packed(r, c)] = problem.information[k](r, c);
   }
-  return same;
+  damping_scale_ = damping_scale(problem);
+  // The origin moves to the middle of the graph: derivatives contain positions, and large
+  // coordinates would cost digits.
+  origin_.setZero();
+  for (const Sim3& pose : problem.poses) origin_ += pose.translation;
+  if (n > 0) origin_ /= static_cast<double>(n);
+  const bool comparable =
+      num_poses_ == static_cast<int>(n) && model_ == model_of(problem) && ends_.size() == 2 * m;
+  const std::size_t pose_chunks = (n + kWalk - 1) / kWalk, edge_chunks = (m + kWalk - 1) / kWalk;
+  walks_.assign(pose_chunks + edge_chunks, Walk());
+  passes_.for_chunks(walks_.size(), [&](std::size_t k) {
+    const std::size_t begin = (k < pose_chunks ? k : k - pose_chunks) * kWalk;
+    walks_[k] = k < pose_chunks ? load_poses(problem, comparable, begin, std::min(n, begin + kWalk))
+                                : load_edges(problem, comparable, options.robust_on_all_edges,
+                                             begin, std::min(m, begin + kWalk));
+  });
+  Walk all{true, comparable};
+  for (const Walk& walk : walks_) {
+    all.valid = all.valid && walk.valid;
+    all.same_structure = all.same_structure && walk.same_structure;
+  }
+  return all;
+}
+
+Solver::Walk Solver::load_poses(const PoseGraphProblem& problem, bool comparable, std::size_t begin,
+                                std::size_t end) const {
+  Walk walk;
+  for (std::size_t i = begin; i < end; ++i) {
+    const Sim3& pose = problem.poses[i];
+    walk.valid = walk.valid && is_valid_pose(pose);
+    if (comparable)
+      walk.same_structure = walk.same_structure && fixed_at(problem, i) == (fixed_[i] != 0);
+    double* p = numbers_.poses + 8 * i;
+    put(pose, p);
+    for (int k = 0; k < 3; ++k) p[4 + k] -= origin_[k];
+  }
+  return walk;
+}
+
+Solver::Walk Solver::load_edges(const PoseGraphProblem& problem, bool comparable, bool all_robust,
+                                std::size_t begin, std::size_t end) const {
+  Walk walk;
+  const int n = static_cast<int>(problem.poses.size());
+  const int matrices = static_cast<int>(problem.information.size());
+  for (std::size_t k = begin; k < end; ++k) {
+    const PoseGraphEdge& e = problem.edges[k];
+    if (e.from < 0 || e.from >= n || e.to < 0 || e.to >= n || e.from == e.to || e.information < 0 ||
+        e.information >= matrices || !is_valid_pose(e.T_from_to))
+      return {false, false};
+    if (comparable)
+      walk.same_structure = walk.same_structure && ends_[2 * k] == e.from &&
+                            ends_[2 * k + 1] == e.to &&
+                            zero_matrix_[e.information] == zero_edge_[k];
+    put(e.T_from_to, numbers_.measurement + 8 * k);
+    numbers_.information[k] = 2 * e.information + (all_robust || e.switchable ? 1 : 0);
+  }
+  return walk;
 }
 
 void Solver::prepare(const PoseGraphProblem& problem, PoseGraphResult& result) {
-  zero_matrix_.resize(problem.information.size());
-  for (std::size_t k = 0; k < zero_matrix_.size(); ++k)
-    zero_matrix_[k] = is_zero_information(problem, problem.information[k]);
-  result.plan_reused = same_structure(problem);
   if (!result.plan_reused) {
     Stopwatch watch;
     num_poses_ = -1;  // nothing is kept if something fails below
@@ -159,41 +216,20 @@ void Solver::prepare(const PoseGraphProblem& problem, PoseGraphResult& result) {
   result.anchored = held_.anchored;
 }
 
-void Solver::load(const PoseGraphProblem& problem, const PoseGraphOptions& options) {
-  numbers_ = executor_->stage(problem.edges.size(), problem.information.size());
-  const std::size_t n = problem.poses.size();
-  // The origin moves to the middle of the graph: derivatives contain positions, and large
-  // coordinates would cost digits.
-  origin_.setZero();
-  for (const Sim3& pose : problem.poses) origin_ += pose.translation;
-  if (n > 0) origin_ /= static_cast<double>(n);
-  for (std::size_t i = 0; i < n; ++i) {
-    double* p = numbers_.poses + 8 * i;
-    put(problem.poses[i], p);
-    for (int k = 0; k < 3; ++k) p[4 + k] -= origin_[k];
-  }
-  for (std::size_t k = 0; k < problem.edges.size(); ++k) {
-    const PoseGraphEdge& e = problem.edges[k];
-    put(e.T_from_to, numbers_.measurement + 8 * k);
-    const bool robust = options.robust_on_all_edges || e.switchable;
-    numbers_.information[k] = 2 * e.information + (robust ? 1 : 0);
-  }
-  for (std::size_t k = 0; k < problem.information.size(); ++k)
-    for (int r = 0; r < 7; ++r)
-      for (int c = 0; c <= r; ++c)
-        numbers_.matrices[28 * k + packed(r, c)] = problem.information[k](r, c);
-  damping_scale_ = damping_scale(problem);
-}
-
 void Solver::store(PoseGraphProblem& problem) {
-  const double* p = executor_->poses();
-  for (std::size_t i = 0; i < problem.poses.size(); ++i, p += 8) {
-    if (free_index_[i] < 0) continue;
-    Sim3& pose = problem.poses[i];
-    pose.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
-    pose.translation = Vector3d(p[4], p[5], p[6]) + origin_;
-    pose.scale = p[7];
-  }
+  const double* poses = executor_->poses();
+  const std::size_t n = problem.poses.size();
+  passes_.for_chunks((n + kWalk - 1) / kWalk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(n, (chunk + 1) * kWalk);
+    for (std::size_t i = chunk * kWalk; i < end; ++i) {
+      if (free_index_[i] < 0) continue;
+      const double* p = poses + 8 * i;
+      Sim3& pose = problem.poses[i];
+      pose.rotation = Eigen::Quaterniond(p[3], p[0], p[1], p[2]);
+      pose.translation = Vector3d(p[4], p[5], p[6]) + origin_;
+      pose.scale = p[7];
+    }
+  });
 }
 
 int Solver::reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result) {
@@ -213,9 +249,18 @@ void Solver::solve(PoseGraphProblem& problem, const PoseGraphOptions& options,
                    PoseGraphResult& result) {
   const auto lock = executor_->lock();
   const auto [launches, waits] = executor_->launches_and_waits();
-  prepare(problem, result);
+  passes_.set_threads(options.threads);
   Stopwatch watch;
-  load(problem, options);
+  const Walk walk = load(problem, options);
+  if (!walk.valid) {
+    result.status = PoseGraphStatus::kInvalidProblem;
+    result.reason = find_pose_graph_error(problem).value_or("the problem is not valid");
+    return;
+  }
+  result.plan_reused = walk.same_structure;
+  result.times.update_ms += watch.elapsed_ms();
+  prepare(problem, result);
+  watch.restart();
   double cost = executor_->start(static_cast<int>(options.robust_kernel), options.robust_width);
   result.times.update_ms += watch.elapsed_ms();
   const bool unknowns = !free_pose_.empty();

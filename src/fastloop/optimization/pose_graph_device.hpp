@@ -4,14 +4,15 @@
 #include <memory>
 #include <vector>
 
+#include "fastloop/optimization/block_passes.hpp"
 #include "fastloop/optimization/pose_graph_check.hpp"
 #include "fastloop/optimization/pose_graph_steps.hpp"
 
 /// The pose-graph solver for devices: host side. No CUDA header is needed here.
 namespace fastloop::optimization::device {
 
-/// What solve_pose_graph calls for PoseGraphSolverKind::kCuda once the problem has been checked.
-/// Keeps the structure for the next call, as PoseGraphPlan does.
+/// What solve_pose_graph calls for PoseGraphSolverKind::kCuda. Keeps the structure for the next
+/// call, as PoseGraphPlan does.
 class Solver {
  public:
   explicit Solver(std::unique_ptr<StepExecutor> executor) : executor_(std::move(executor)) {}
@@ -21,9 +22,16 @@ class Solver {
 
  private:
   class Steps;
-  bool same_structure(const PoseGraphProblem& problem) const;
+  /// What one walk over the problem finds.
+  struct Walk {
+    bool valid = true, same_structure = true;
+  };
+  Walk load(const PoseGraphProblem& problem, const PoseGraphOptions& options);
+  Walk load_poses(const PoseGraphProblem& problem, bool comparable, std::size_t begin,
+                  std::size_t end) const;
+  Walk load_edges(const PoseGraphProblem& problem, bool comparable, bool all_robust,
+                  std::size_t begin, std::size_t end) const;
   void prepare(const PoseGraphProblem& problem, PoseGraphResult& result);
-  void load(const PoseGraphProblem& problem, const PoseGraphOptions& options);
   void store(PoseGraphProblem& problem);
   int reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result);
 
@@ -37,7 +45,9 @@ class Solver {
   HeldVertices held_;
   Schedule schedule_;
   // Numbers.
+  block::Passes passes_;
   Numbers numbers_;
+  std::vector<Walk> walks_;
   std::vector<std::uint8_t> zero_matrix_;
   Vector3d origin_ = Vector3d::Zero();
   double damping_scale_ = 1;
@@ -45,6 +55,7 @@ class Solver {
 
 /// Solves on the CUDA device with the solver in `kept`, which is made where it is missing. False
 /// without a device or when it fails: then the problem is untouched and the result of no use.
+/// Checks the problem as solve_pose_graph does.
 bool solve_on_device(std::unique_ptr<Solver>& kept, PoseGraphProblem& problem,
                      const PoseGraphOptions& options, PoseGraphResult& result);
 

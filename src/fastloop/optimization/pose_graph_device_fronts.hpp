@@ -111,7 +111,7 @@ FASTLOOP_HD inline void add_child(const Team& team, const View& v, const Front& 
                                   const Matrix& a, const std::int32_t* target) {
   const int columns = child.below * D;
   const double* schur = v.schur + child.schur;
-  constexpr int kColumns = 4;  // at a time, so that several loads are on their way
+  constexpr int kColumns = 8;  // at a time, so that several loads are on their way
   for (int c0 = team.warp() * kColumns; c0 < columns; c0 += team.warps() * kColumns) {
     for (int r = c0 + team.lane(); r <= columns; r += team.lanes()) {
       double value[kColumns];
@@ -136,7 +136,7 @@ FASTLOOP_HD inline void write_update(const Team& team, const View& v, const Fron
   double* schur = v.schur + f.schur;
   for_lane_tiles(team, pivots / 2 * 2, rows - 1, rows, [&](const LaneTile& tile) {
     double acc[4][4] = {};
-    multiply_tile(a, 0, pivots, rows, tile, acc);
+    multiply_tile(a, rows, a, rows, 0, pivots, tile, acc);
     FASTLOOP_UNROLL
     for (int c = 0; c < 4; ++c) {
       const int column = tile.column[c];

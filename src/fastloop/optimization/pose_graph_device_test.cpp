@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 
 #include "fastloop/compute/cuda_session.hpp"
 #include "fastloop/optimization/pose_graph_device_math.hpp"
@@ -185,6 +186,37 @@ TEST_P(PoseGraphDevice, SameBytesEveryTimeAndWithAKeptPlan) {
     solver->solve(again, {}, r);
     EXPECT_FALSE(r.plan_reused);
     EXPECT_TRUE(same_bytes(a.poses, again.poses));
+  }
+}
+
+TEST_P(PoseGraphDevice, BadProblemsAreRefusedAsElsewhere) {
+  const PoseGraphProblem good = graph_of(PoseGraphKind::kSe3, 30, 19);
+  std::vector<PoseGraphProblem> bad(7, good);
+  bad[0].edges[5].to = 30;
+  bad[1].edges[6].from = -1;
+  bad[2].edges[7].T_from_to.translation[1] = std::numeric_limits<double>::quiet_NaN();
+  bad[3].poses[29].scale = 0;
+  bad[4].information[2](0, 0) = -1;
+  bad[5].fixed.resize(29);
+  bad[6].edges[3].information = 5;
+  for (PoseGraphProblem& p : bad) {
+    const PoseGraphProblem before = p;
+    const auto solver = make_solver();
+    PoseGraphProblem first = good;
+    PoseGraphResult r;
+    solver->solve(first, {}, r);  // with and without a plan that seems to fit
+    for (int k = 0; k < 2; ++k) {
+      r = PoseGraphResult();
+      if (k == 0) solver->solve(p, {}, r);
+      if (k == 1) r = solve(p);
+      EXPECT_EQ(r.status, PoseGraphStatus::kInvalidProblem);
+      EXPECT_EQ(r.reason, find_pose_graph_error(p).value_or("none"));
+    }
+    PoseGraphProblem again = good;
+    r = PoseGraphResult();
+    solver->solve(again, {}, r);
+    EXPECT_TRUE(r.plan_reused);
+    EXPECT_TRUE(same_bytes(again.poses, first.poses));
   }
 }
 

@@ -63,12 +63,12 @@ class HostExecutor : public StepExecutor {
     tile_done_.assign(s.tile_flags, 0);
     shared_.resize(std::max(
         {s.factor_shared_doubles, s.solve_rows + s.solve_panel_doubles + 2, std::size_t{64}}));
-    for (auto& poses : poses_) poses.resize(8 * static_cast<std::size_t>(s.num_poses));
     for (auto& normal : normal_) normal.resize(35 * static_cast<std::size_t>(s.num_slots));
     epoch_ = forward_epoch_ = descent_epoch_ = failed_ = 0;
   }
 
-  Numbers stage(std::size_t edges, std::size_t matrices) override {
+  Numbers stage(std::size_t poses, std::size_t edges, std::size_t matrices) override {
+    poses_[0].resize(8 * poses);
     measurement_.resize(8 * edges);
     information_.resize(edges);
     matrices_.resize(28 * matrices);

@@ -34,8 +34,8 @@ class StepExecutor {
   /// Largest front that is treated as one piece.
   virtual std::size_t max_shared_doubles() const = 0;
   virtual void set_schedule(const Schedule& schedule, block::EdgeModel model) = 0;
-  virtual Numbers stage(std::size_t edges, std::size_t matrices) = 0;
-  /// Takes what was staged, and evaluates it: the cost.
+  virtual Numbers stage(std::size_t poses, std::size_t edges, std::size_t matrices) = 0;
+  /// Takes what was staged for the present schedule, and evaluates it: the cost.
   virtual double start(int robust_kernel, double robust_width) = 0;
   /// `information` changed: the cost again, at the present poses.
   virtual double restart(int robust_kernel) = 0;
