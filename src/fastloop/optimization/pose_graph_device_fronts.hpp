@@ -22,7 +22,7 @@ FASTLOOP_HD inline long long whole_front_doubles(const Front& f, int block_size)
 }
 /// The same for tiles.
 inline constexpr int kTileStride = kTileRows + 2;
-inline constexpr int kTileDepth = 16;
+inline constexpr int kTileDepth = 32;
 inline constexpr int kTileDoubles = 2 * kTileStride * kTileRows;
 
 /// Normal equations of vertex `vertex` (elimination index): packed entry, or component

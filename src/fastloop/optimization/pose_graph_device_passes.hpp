@@ -57,10 +57,10 @@ FASTLOOP_HD inline void forward_front(const Team& team, const View& v, int index
       b[v.map[child.rows + k / kD] * kD + k % kD] += team.load(rhs + k);
     team.sync();
   }
+  Triangle t;
+  load_triangle(l, 0, pivots < kPanel ? pivots : kPanel, t);
   for (int j = 0; j < pivots; j += kPanel) {
     const int width = pivots - j < kPanel ? pivots - j : kPanel;
-    Triangle t;
-    load_triangle(l, j, width, t);
     double y[kPanel];
     FASTLOOP_UNROLL
     for (int c = 0; c < kPanel; ++c) y[c] = c < width ? b[j + c] : 0.0;
@@ -70,6 +70,9 @@ FASTLOOP_HD inline void forward_front(const Team& team, const View& v, int index
       FASTLOOP_UNROLL
       for (int o = c + 1; o < kPanel; ++o) y[o] -= y[c] * t.l[o][c];
     }
+    // The next triangle is on its way while the rows are treated.
+    if (const int next = j + kPanel; next < pivots)
+      load_triangle(l, next, pivots - next < kPanel ? pivots - next : kPanel, t);
     for (int r = j + width + team.rank(); r < rows; r += team.size()) {
       double sum = b[r];
       FASTLOOP_UNROLL
@@ -125,10 +128,11 @@ FASTLOOP_HD inline void backward_front(const Team& team, const View& v, int inde
     if (team.lane() == 0) x[c] -= sum;
   }
   team.sync();
-  for (int j = (pivots - 1) / kPanel * kPanel; j >= 0; j -= kPanel) {
+  const int last = (pivots - 1) / kPanel * kPanel;
+  Triangle t;
+  load_triangle(l, last, pivots - last, t);
+  for (int j = last; j >= 0; j -= kPanel) {
     const int width = pivots - j < kPanel ? pivots - j : kPanel;
-    Triangle t;
-    load_triangle(l, j, width, t);
     double y[kPanel];
     FASTLOOP_UNROLL
     for (int c = 0; c < kPanel; ++c) y[c] = c < width ? x[j + c] : 0.0;
@@ -138,6 +142,7 @@ FASTLOOP_HD inline void backward_front(const Team& team, const View& v, int inde
       for (int o = c + 1; o < kPanel; ++o) y[c] -= y[o] * t.l[o][c];
       y[c] *= t.l[c][c];
     }
+    if (j > 0) load_triangle(l, j - kPanel, kPanel, t);
     for (int c = team.rank(); c < j; c += team.size()) {
       const double* column = l.column(c) + j;
       double sum = x[c];
