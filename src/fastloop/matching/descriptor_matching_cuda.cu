@@ -101,30 +101,11 @@ __device__ void match_unit(const DeviceSide& first, const DeviceSide& second, co
 
 /// Writes the pairs of an image to the host, and leaves its memory as it was before.
 __device__ void report(const DeviceSide& second) {
-  __shared__ int found_by_warp[kWarps];
-  const int n = second.features.size, lane = static_cast<int>(threadIdx.x) % 32;
-  const int warp = static_cast<int>(threadIdx.x) / 32;
-  int written = 0;
-  for (int first = 0; first < n; first += 32 * kWarps) {
-    const int k = first + static_cast<int>(threadIdx.x);
-    std::uint32_t winner = kNoKey;
-    if (k < n) {
-      winner = __ldcg(second.winner + k);
-      second.winner[k] = kNoKey;
-    }
-    const unsigned votes = __ballot_sync(~0u, winner != kNoKey);
-    if (lane == 0) found_by_warp[warp] = __popc(votes);
-    __syncthreads();
-    int place = written + __popc(votes & ((1u << lane) - 1));
-    for (int w = 0; w < kWarps; ++w) {
-      if (w < warp) place += found_by_warp[w];
-      written += found_by_warp[w];
-    }
-    if (winner != kNoKey)
-      second.host_pairs[place] = {static_cast<std::uint16_t>(key_index(winner)),
-                                  static_cast<std::uint16_t>(k)};
-    __syncthreads();
-  }
+  const auto write = [&](int place, int k, std::uint32_t winner) {
+    second.host_pairs[place] = {static_cast<std::uint16_t>(key_index(winner)),
+                                static_cast<std::uint16_t>(k)};
+  };
+  const int written = take_claims<32 * kWarps>(second.winner, second.features.size, write);
   if (threadIdx.x != 0) return;
   *second.host_num_pairs = static_cast<std::uint32_t>(written);
   *second.finished = 0;

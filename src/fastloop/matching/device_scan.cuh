@@ -39,4 +39,49 @@ __device__ BestTwo merged(BestTwo found) {
   return found;
 }
 
+__device__ inline void prefetch(const void* memory) {
+  asm volatile("prefetch.global.L1 [%0];" ::"l"(memory));
+}
+
+/// Calls write(place, k, claim[k]) for every k < n that has a claim, places in ascending order of k,
+/// and sets all bits of the claims again. All kThreads threads of the block take part.
+/// @return number of claims
+template <int kThreads, class Claim, class Write>
+__device__ int take_claims(Claim* claim, int n, const Write& write) {
+  constexpr int kWarps = kThreads / 32, kRounds = 4;  // loads on the way at once
+  constexpr Claim kNone = ~Claim{0};
+  __shared__ int found_by_warp[kRounds][kWarps];
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  int written = 0;
+  for (int first = 0; first < n; first += kRounds * kThreads) {
+    Claim mine[kRounds];
+    unsigned votes[kRounds];
+#pragma unroll
+    for (int r = 0; r < kRounds; ++r) {
+      const int k = first + r * kThreads + static_cast<int>(threadIdx.x);
+      mine[r] = k < n ? __ldcg(claim + k) : kNone;
+    }
+#pragma unroll
+    for (int r = 0; r < kRounds; ++r) {
+      const int k = first + r * kThreads + static_cast<int>(threadIdx.x);
+      if (mine[r] != kNone) claim[k] = kNone;
+      votes[r] = __ballot_sync(~0u, mine[r] != kNone);
+      if (lane == 0) found_by_warp[r][warp] = __popc(votes[r]);
+    }
+    __syncthreads();
+#pragma unroll
+    for (int r = 0; r < kRounds; ++r) {
+      int place = written + __popc(votes[r] & ((1u << lane) - 1));
+      for (int w = 0; w < kWarps; ++w) {
+        if (w < warp) place += found_by_warp[r][w];
+        written += found_by_warp[r][w];
+      }
+      if (mine[r] != kNone)
+        write(place, first + r * kThreads + static_cast<int>(threadIdx.x), mine[r]);
+    }
+    __syncthreads();
+  }
+  return written;
+}
+
 }  // namespace fastloop::matching

@@ -62,13 +62,13 @@ ProjectionRule make_rule(const StereoRig& rig, const PyramidScales& scales,
                          const ProjectionSearchOptions& o) {
   ProjectionRule rule;
   rule.left = make_camera_view(rig.left);
-  rule.right = make_camera_view(rig.right);
   store_row_major(rig.T_right_left.rotation, rule.right_rotation);
   for (int i = 0; i < 3; ++i)
     rule.right_translation[i] = static_cast<float>(rig.T_right_left.translation[i]);
   rule.rectified = rig.kind == StereoRig::Kind::kRectified;
   rule.focal_baseline = static_cast<float>(rig.left.fx * rig.baseline_m);
   rule.need_right = o.check_right || o.chi2_gate_stereo > 0;
+  if (rule.need_right) rule.right = make_camera_view(rig.right);
   rule.scales = {scales.scale.data(), scales.sigma2.data(), scales.levels};
   rule.radius_px = o.radius_px;
   rule.max_distance = o.max_distance;

@@ -1,7 +1,6 @@
 #include "fastloop/matching/projection_search_cuda.hpp"
 
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
 #include <unordered_map>
 
@@ -12,6 +11,7 @@ namespace fastloop::matching {
 namespace {
 
 constexpr int kThreads = 128;
+constexpr int kLanes = 8;  // that share a window
 
 /// A target as the kernel reads it; pointers on the device, or page-locked where they say host.
 struct DeviceTarget {
@@ -54,6 +54,13 @@ __device__ void collect_seen(const ProjectionRule& rule, const DeviceTarget& tar
   const unsigned lane = threadIdx.x % 32;
   Sighting sighting;
   const std::uint8_t* skipped = target.view.landmark_skipped;
+  if (i < target.num_landmarks) {
+    // Gates ask for these one after another, the scan for the descriptor: all on the way at once.
+    prefetch(target.landmarks.max_distance_m + i);
+    prefetch(target.landmarks.min_distance_m + i);
+    prefetch(target.landmarks.normal_world + 3 * static_cast<std::size_t>(i));
+    prefetch(target.landmarks.descriptor + i);
+  }
   const bool passed = i < target.num_landmarks && !(skipped && skipped[i]) &&
                       sight(rule, target.view, target.landmarks, i, &sighting);
   const unsigned votes = __ballot_sync(~0u, passed);
@@ -68,31 +75,11 @@ __device__ void collect_seen(const ProjectionRule& rule, const DeviceTarget& tar
 
 /// Writes what was found in a target to the host, and leaves its memory as it was before.
 __device__ void report(const DeviceTarget& target) {
-  __shared__ int found_by_warp[kThreads / 32];
-  const int n = target.features.size, lane = static_cast<int>(threadIdx.x) % 32;
-  const int warp = static_cast<int>(threadIdx.x) / 32;
-  int written = 0;
-  for (int first = 0; first < n; first += kThreads) {
-    const int k = first + static_cast<int>(threadIdx.x);
-    unsigned long long winner = ~0ull;
-    if (k < n) {
-      winner = __ldcg(target.winner + k);
-      target.winner[k] = ~0ull;
-    }
-    const unsigned votes = __ballot_sync(~0u, winner != ~0ull);
-    if (lane == 0) found_by_warp[warp] = __popc(votes);
-    __syncthreads();
-    int place = written + __popc(votes & ((1u << lane) - 1));
-    for (int w = 0; w < kThreads / 32; ++w) {
-      if (w < warp) place += found_by_warp[w];
-      written += found_by_warp[w];
-    }
-    if (winner != ~0ull)
-      target.host_matches[place] = {static_cast<std::uint32_t>(winner),
-                                    static_cast<std::uint16_t>(k),
-                                    static_cast<std::uint16_t>(winner >> 32)};
-    __syncthreads();
-  }
+  const auto write = [&](int place, int k, unsigned long long winner) {
+    target.host_matches[place] = {static_cast<std::uint32_t>(winner), static_cast<std::uint16_t>(k),
+                                  static_cast<std::uint16_t>(winner >> 32)};
+  };
+  const int written = take_claims<kThreads>(target.winner, target.features.size, write);
   if (target.in_view)
     for (int w = static_cast<int>(threadIdx.x); w < (target.num_landmarks + 31) / 32; w += kThreads)
       target.host_in_view[w] = __ldcg(target.in_view + w);
@@ -104,7 +91,7 @@ __device__ void report(const DeviceTarget& target) {
 /// A block looks at `chunk` landmarks (a multiple of 32, at most kThreads) in one target: first a
 /// thread for each, then, for those that are in view, several lanes each, which share the rows of
 /// the window. The last block of a target reports it.
-template <int kLanes, class Targets>
+template <class Targets>
 __global__ void __launch_bounds__(kThreads)
     search_kernel(const __grid_constant__ ProjectionRule rule,
                   const __grid_constant__ Targets targets, int chunk, unsigned chunks) {
@@ -325,16 +312,10 @@ void launch(CudaSession::Impl& cuda, const ProjectionCall& call, const Projectio
   if (most == 0) return;
   // Few pairs: small blocks, so that every multiprocessor has some.
   const auto all = static_cast<std::size_t>(cuda.multiprocessors);
-  int chunk = pairs < 256 * all ? 32 : pairs < 1024 * all ? 64 : kThreads;
-  if (const char* c = std::getenv("TUNE_CHUNK")) chunk = std::atoi(c);
+  const int chunk = pairs < 256 * all ? 32 : pairs < 1024 * all ? 64 : kThreads;
   const auto chunks = static_cast<unsigned>((most + chunk - 1) / chunk);
   const auto blocks = static_cast<unsigned>(chunks * call.targets.size());
-  const char* l = std::getenv("TUNE_LANES");
-  const int lanes = l ? std::atoi(l) : 8;
-  if (lanes == 2) search_kernel<2><<<blocks, kThreads, 0, cuda.stream>>>(rule, targets, chunk, chunks);
-  if (lanes == 4) search_kernel<4><<<blocks, kThreads, 0, cuda.stream>>>(rule, targets, chunk, chunks);
-  if (lanes == 8) search_kernel<8><<<blocks, kThreads, 0, cuda.stream>>>(rule, targets, chunk, chunks);
-  if (lanes == 16) search_kernel<16><<<blocks, kThreads, 0, cuda.stream>>>(rule, targets, chunk, chunks);
+  search_kernel<<<blocks, kThreads, 0, cuda.stream>>>(rule, targets, chunk, chunks);
   cuda.launched("search_kernel");
 }
 
