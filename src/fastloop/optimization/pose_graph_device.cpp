@@ -25,6 +25,11 @@ block::EdgeModel model_of(const PoseGraphProblem& problem) {
   return problem.fixed_scale ? block::EdgeModel::kSim3FixedScale : block::EdgeModel::kSim3;
 }
 
+int model_tangent(block::EdgeModel model) {
+  if (model == block::EdgeModel::kYaw) return 4;
+  return model == block::EdgeModel::kSim3 ? 7 : 6;
+}
+
 bool fixed_at(const PoseGraphProblem& problem, std::size_t i) {
   return !problem.fixed.empty() && problem.fixed[i] != 0;
 }
@@ -169,6 +174,13 @@ Solver::Walk Solver::load_edges(const PoseGraphProblem& problem, bool comparable
 void Solver::prepare(const PoseGraphProblem& problem, PoseGraphResult& result) {
   if (!result.plan_reused) {
     Stopwatch watch;
+    std::vector<int> old_node;  // [poses]
+    if (num_poses_ > 0 && model_ == model_of(problem)) {
+      old_node.assign(static_cast<std::size_t>(num_poses_), -1);
+      for (int k = 0; k < dissection_.size(); ++k)
+        for (int i = dissection_.begin[k]; i < dissection_.begin[k + 1]; ++i)
+          old_node[free_pose_[dissection_.vertices[i]]] = k;
+    }
     num_poses_ = -1;  // nothing is kept if something fails below
     kind_ = problem.kind;
     model_ = model_of(problem);
@@ -198,22 +210,57 @@ void Solver::prepare(const PoseGraphProblem& problem, PoseGraphResult& result) {
       free_ends.push_back(a);
       free_ends.push_back(b);
     }
-    const int block_size = tangent_size(problem.kind, problem.fixed_scale);
     block::Graph graph;
     block::build_graph(static_cast<int>(free_pose_.size()), free_ends, graph);
     result.times.symbolic_ms += watch.elapsed_ms();
+    analyse(graph, old_node, result);
     watch.restart();
-    const Dissection dissection = dissect(graph, leaf_size(block_size));
-    result.times.ordering_ms += watch.elapsed_ms();
-    watch.restart();
-    build_schedule({block_size, n, &ends_, &free_index_, &free_pose_}, graph, dissection,
-                   executor_->max_shared_doubles(), schedule_);
     executor_->set_schedule(schedule_, model_);
     num_poses_ = n;
     result.times.symbolic_ms += watch.elapsed_ms();
   }
   result.components = held_.components;
   result.anchored = held_.anchored;
+}
+
+void Solver::analyse(const block::Graph& graph, const std::vector<int>& old_node_of_pose,
+                     PoseGraphResult& result) {
+  const int block_size = model_tangent(model_), n = graph.size();
+  const auto build = [&](const Dissection& dissection) {
+    const Stopwatch watch;
+    build_schedule({block_size, static_cast<int>(fixed_.size()), &ends_, &free_index_, &free_pose_},
+                   graph, dissection, executor_->max_shared_doubles(), schedule_);
+    result.times.symbolic_ms += watch.elapsed_ms();
+  };
+  Stopwatch watch;
+  int known = 0;
+  std::vector<int> node_of(free_pose_.size(), -1);
+  for (int v = 0; v < n; ++v) {
+    const std::size_t pose = static_cast<std::size_t>(free_pose_[v]);
+    if (pose < old_node_of_pose.size()) node_of[v] = old_node_of_pose[pose];
+    known += node_of[v] >= 0;
+  }
+  Dissection extended;
+  result.plan_extended = false;
+  const bool extend = known > n / 2 && extend_dissection(graph, node_of, dissection_.parent,
+                                                         leaf_size(block_size), extended);
+  result.times.ordering_ms += watch.elapsed_ms();
+  if (extend) {
+    build(extended);
+    // Extending again and again wears the order out.
+    result.plan_extended =
+        schedule_.multiply_adds <= 1.3 * work_per_vertex_ * n && schedule_.levels <= levels_ + 4;
+  }
+  if (result.plan_extended) {
+    dissection_ = std::move(extended);
+    return;
+  }
+  watch.restart();
+  dissection_ = dissect(graph, leaf_size(block_size));
+  result.times.ordering_ms += watch.elapsed_ms();
+  build(dissection_);
+  work_per_vertex_ = schedule_.multiply_adds / std::max(1, n);
+  levels_ = schedule_.levels;
 }
 
 void Solver::store(PoseGraphProblem& problem) {

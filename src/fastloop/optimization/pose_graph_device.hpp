@@ -32,6 +32,9 @@ class Solver {
   Walk load_edges(const PoseGraphProblem& problem, bool comparable, bool all_robust,
                   std::size_t begin, std::size_t end) const;
   void prepare(const PoseGraphProblem& problem, PoseGraphResult& result);
+  /// The elimination of the present graph, from the one before if that still serves.
+  void analyse(const block::Graph& graph, const std::vector<int>& old_node_of_pose,
+               PoseGraphResult& result);
   void store(PoseGraphProblem& problem);
   int reject_outliers(const PoseGraphProblem& problem, double gate, PoseGraphResult& result);
 
@@ -43,6 +46,9 @@ class Solver {
   std::vector<std::uint8_t> fixed_, zero_edge_;
   std::vector<int> ends_, free_index_, free_pose_;
   HeldVertices held_;
+  Dissection dissection_;
+  double work_per_vertex_ = 0;  ///< when the graph was last dissected as a whole
+  int levels_ = 0;
   Schedule schedule_;
   // Numbers.
   block::Passes passes_;

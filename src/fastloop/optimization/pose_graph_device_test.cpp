@@ -177,16 +177,54 @@ TEST_P(PoseGraphDevice, SameBytesEveryTimeAndWithAKeptPlan) {
     solve(c);
     EXPECT_TRUE(same_bytes(a.poses, b.poses));
     EXPECT_TRUE(same_bytes(a.poses, c.poses));
+    // Another graph with the same plan, and back.
     PoseGraphProblem other = graph_of(kind, 50, 14), alone = other;
     solver->solve(other, {}, r);
     EXPECT_FALSE(r.plan_reused);
     solve(alone);
-    EXPECT_TRUE(same_bytes(other.poses, alone.poses));
+    EXPECT_LT(largest_difference(other.poses, alone.poses), 1e-7);
     PoseGraphProblem again = start;
     solver->solve(again, {}, r);
     EXPECT_FALSE(r.plan_reused);
-    EXPECT_TRUE(same_bytes(a.poses, again.poses));
+    EXPECT_LT(largest_difference(a.poses, again.poses), 1e-7);
   }
+}
+
+/// A long way with a few edges back, as a map grows: ten vertices more with every call.
+TEST_P(PoseGraphDevice, PlanIsExtended) {
+  Random random(4);
+  PoseGraphProblem p;
+  p.kind = PoseGraphKind::kYaw;
+  const auto grow = [&](int to) {
+    for (int i = static_cast<int>(p.poses.size()); i < to; ++i) {
+      p.poses.emplace_back(Eigen::Quaterniond::Identity(), Vector3d(i, 0.1 * random.normal(), 0),
+                           1);
+      const auto join = [&](int k) {
+        p.edges.push_back({k, i,
+                           Sim3(Eigen::Quaterniond::Identity(),
+                                Vector3d(1.01 * (i - k), 0.1 * random.normal(), 0), 1),
+                           0, false});
+      };
+      for (int k = std::max(0, i - 4); k < i; ++k) join(k);
+      if (i % 97 == 96) join(i - 90);
+    }
+  };
+  grow(600);
+  const auto solver = make_solver();
+  int extended = 0;
+  for (int n = 600; n < 700; n += 10) {
+    grow(n + 10);
+    if (n == 650) std::erase_if(p.edges, [](const PoseGraphEdge& e) { return e.from == 100; });
+    PoseGraphProblem here = p, block = p;
+    PoseGraphResult r;
+    solver->solve(here, {}, r);
+    extended += r.plan_extended;
+    const PoseGraphResult b = solve_pose_graph(block);
+    EXPECT_NEAR(r.final_cost, b.final_cost, 1e-6 * b.final_cost);
+    EXPECT_LT(largest_difference(here.poses, block.poses), 1e-6);
+  }
+  EXPECT_GE(extended, 5);
+  EXPECT_LT(extended, 10);  // the first cannot be
 }
 
 TEST_P(PoseGraphDevice, BadProblemsAreRefusedAsElsewhere) {
@@ -284,36 +322,66 @@ TEST(PoseGraphDeviceMath, LinearizationIsThatOfTheReference) {
   }
 }
 
+/// Every vertex once, children before parents, no edge between two branches.
+void expect_dissection_of(const block::Graph& graph, const device::Dissection& d) {
+  const int n = graph.size();
+  std::vector<int> node(n, -1);
+  for (int k = 0; k < d.size(); ++k) {
+    EXPECT_TRUE(d.parent[k] < 0 || d.parent[k] > k);
+    EXPECT_LT(d.begin[k], d.begin[k + 1]);
+    for (int i = d.begin[k]; i < d.begin[k + 1]; ++i) node[d.vertices[i]] = k;
+  }
+  EXPECT_EQ(std::count(node.begin(), node.end(), -1), 0);
+  EXPECT_EQ(static_cast<int>(d.vertices.size()), n);
+  for (int v = 0; v < n; ++v) {
+    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k) {
+      int low = std::min(node[v], node[graph.neighbour[k]]);
+      const int high = std::max(node[v], node[graph.neighbour[k]]);
+      while (low >= 0 && low < high) low = d.parent[low];
+      EXPECT_EQ(low, high) << "an edge joins two branches";
+    }
+  }
+}
+
+block::Graph random_sparse_graph(Random& random, int n, double density) {
+  std::vector<int> ends;
+  for (int k = 1; k < n; ++k)
+    if (density > 0 || k % 3 != 0) ends.insert(ends.end(), {k - 1, k});
+  for (int k = 0; k < density * n; ++k)
+    ends.insert(ends.end(), {random.integer(n), random.integer(n)});
+  block::Graph graph;
+  block::build_graph(n, ends, graph);
+  return graph;
+}
+
 TEST(PoseGraphDissection, SeparatesEveryGraph) {
   Random random(23);
   for (int n : {0, 1, 2, 9, 100, 700}) {
     for (double density : {0.0, 0.05, 1.0}) {
-      std::vector<int> ends;
-      for (int k = 1; k < n; ++k)
-        if (density > 0 || k % 3 != 0) ends.insert(ends.end(), {k - 1, k});
-      for (int k = 0; k < density * n; ++k)
-        ends.insert(ends.end(), {random.integer(n), random.integer(n)});
-      block::Graph graph;
-      block::build_graph(n, ends, graph);
-      const device::Dissection d = device::dissect(graph, 6);
-      std::vector<int> node(n, -1);
-      for (int k = 0; k < d.size(); ++k) {
-        EXPECT_TRUE(d.parent[k] < 0 || d.parent[k] > k);
-        EXPECT_LT(d.begin[k], d.begin[k + 1]);
-        for (int i = d.begin[k]; i < d.begin[k + 1]; ++i) node[d.vertices[i]] = k;
-      }
-      EXPECT_EQ(std::count(node.begin(), node.end(), -1), 0);
-      EXPECT_EQ(static_cast<int>(d.vertices.size()), n);
-      for (int v = 0; v < n; ++v) {
-        for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k) {
-          int low = std::min(node[v], node[graph.neighbour[k]]);
-          const int high = std::max(node[v], node[graph.neighbour[k]]);
-          while (low >= 0 && low < high) low = d.parent[low];
-          EXPECT_EQ(low, high) << "an edge joins two branches";
-        }
-      }
+      const block::Graph graph = random_sparse_graph(random, n, density);
+      expect_dissection_of(graph, device::dissect(graph, 6));
     }
   }
+}
+
+TEST(PoseGraphDissection, ExtensionSeparatesTheNewGraph) {
+  Random random(29);
+  int extended = 0;
+  for (int repeat = 0; repeat < 60; ++repeat) {
+    const int n = 20 + random.integer(200), more = random.integer(30);
+    const device::Dissection old = device::dissect(random_sparse_graph(random, n, 0.03), 6);
+    // Other edges, a few vertices gone, others come.
+    const block::Graph graph = random_sparse_graph(random, n + more, 0.05);
+    std::vector<int> node_of(n + more, -1);
+    for (int k = 0; k < old.size(); ++k)
+      for (int i = old.begin[k]; i < old.begin[k + 1]; ++i)
+        if (i % 17 != 3) node_of[old.vertices[i]] = k;
+    device::Dissection now;
+    if (!device::extend_dissection(graph, node_of, old.parent, 6, now)) continue;
+    ++extended;
+    expect_dissection_of(graph, now);
+  }
+  EXPECT_GT(extended, 30);
 }
 
 TEST(PoseGraphDissection, TreesOfChainsAreLow) {

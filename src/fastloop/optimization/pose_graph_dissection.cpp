@@ -61,6 +61,52 @@ class VertexCover {
   int stamp_ = 0;
 };
 
+struct Node {
+  std::vector<int> vertices;
+  int parent;
+};
+
+/// Children before parents, in the order in which they stand; nodes without vertices are left out
+/// and their children go to their parents.
+Dissection in_postorder(std::vector<Node>& nodes) {
+  const int n = static_cast<int>(nodes.size());
+  for (Node& node : nodes)
+    while (node.parent >= 0 && nodes[node.parent].vertices.empty())
+      node.parent = nodes[node.parent].parent;
+  std::vector<int> head(n + 1, -1), next(n, -1);
+  for (int k = n - 1; k >= 0; --k) {
+    const int p = nodes[k].parent < 0 ? n : nodes[k].parent;
+    next[k] = head[p];
+    head[p] = k;
+  }
+  Dissection result;
+  result.begin.push_back(0);
+  std::vector<int> label(n, -1), stack, order;
+  for (int root = head[n]; root >= 0; root = next[root]) {
+    stack.push_back(root);
+    while (!stack.empty()) {
+      const int k = stack.back();
+      if (const int child = head[k]; child >= 0) {
+        head[k] = next[child];
+        stack.push_back(child);
+        continue;
+      }
+      stack.pop_back();
+      if (nodes[k].vertices.empty()) continue;
+      label[k] = static_cast<int>(order.size());
+      order.push_back(k);
+    }
+  }
+  for (int k : order) {
+    const int p = nodes[k].parent;
+    result.parent.push_back(p < 0 ? -1 : label[p]);
+    result.vertices.insert(result.vertices.end(), nodes[k].vertices.begin(),
+                           nodes[k].vertices.end());
+    result.begin.push_back(static_cast<int>(result.vertices.size()));
+  }
+  return result;
+}
+
 class Dissector {
  public:
   Dissector(const block::Graph& graph, int leaf_size)
@@ -80,7 +126,7 @@ class Dissector {
       open_.pop_back();
       cut(piece);
     }
-    return collect();
+    return in_postorder(nodes_);
   }
 
  private:
@@ -88,11 +134,6 @@ class Dissector {
     std::vector<int> vertices;
     int parent;
   };
-  struct Node {
-    std::vector<int> vertices;
-    int parent;
-  };
-
   /// Levels of a breadth-first search within the region of `start`.
   void search(int start) {
     queue_.clear();
@@ -198,42 +239,6 @@ class Dissector {
     for (int k = level_begin_[border]; k < level_begin_[border + 1]; ++k) level_[queue_[k]] = -1;
   }
 
-  /// Nodes were made parents first, depth first in a way: brings them into postorder.
-  Dissection collect() const {
-    const int n = static_cast<int>(nodes_.size());
-    std::vector<int> head(n + 1, -1), next(n, -1);
-    for (int k = n - 1; k >= 0; --k) {
-      const int p = nodes_[k].parent < 0 ? n : nodes_[k].parent;
-      next[k] = head[p];
-      head[p] = k;
-    }
-    Dissection result;
-    std::vector<int> label(n, -1), stack, order;
-    for (int root = head[n]; root >= 0; root = next[root]) {
-      stack.push_back(root);
-      while (!stack.empty()) {
-        const int k = stack.back();
-        if (const int child = head[k]; child >= 0) {
-          head[k] = next[child];
-          stack.push_back(child);
-          continue;
-        }
-        stack.pop_back();
-        label[k] = static_cast<int>(order.size());
-        order.push_back(k);
-      }
-    }
-    result.begin.push_back(0);
-    for (int k : order) {
-      const int p = nodes_[k].parent;
-      result.parent.push_back(p < 0 ? -1 : label[p]);
-      result.vertices.insert(result.vertices.end(), nodes_[k].vertices.begin(),
-                             nodes_[k].vertices.end());
-      result.begin.push_back(static_cast<int>(result.vertices.size()));
-    }
-    return result;
-  }
-
   const block::Graph& graph_;
   int leaf_size_;
   std::vector<int> region_, level_, queue_, level_begin_, separator_;
@@ -248,6 +253,72 @@ class Dissector {
 
 Dissection dissect(const block::Graph& graph, int leaf_size) {
   return Dissector(graph, leaf_size).run();
+}
+
+bool extend_dissection(const block::Graph& graph, const std::vector<int>& node_of,
+                       const std::vector<int>& parent, int leaf_size, Dissection& result) {
+  const int n = graph.size();
+  std::vector<int> where = node_of, up = parent, label(n, -1), fresh;
+  for (int v = 0; v < n; ++v)
+    if (where[v] < 0) {
+      label[v] = static_cast<int>(fresh.size());
+      fresh.push_back(v);
+    }
+  std::vector<int> ends;
+  for (int v : fresh)
+    for (int k = graph.begin[v]; k < graph.begin[v + 1]; ++k)
+      if (const int u = graph.neighbour[k]; u > v && label[u] >= 0)
+        ends.insert(ends.end(), {label[v], label[u]});
+  block::Graph part;
+  block::build_graph(static_cast<int>(fresh.size()), ends, part);
+  const Dissection added = dissect(part, leaf_size);
+  const int old = static_cast<int>(parent.size());
+  std::vector<int> below(added.size(), -1);  // lowest old node that a new tree touches
+  for (int k = 0; k < added.size(); ++k) {
+    for (int i = added.begin[k]; i < added.begin[k + 1]; ++i) {
+      const int v = fresh[added.vertices[i]];
+      where[v] = old + k;
+      for (int e = graph.begin[v]; e < graph.begin[v + 1]; ++e)
+        if (const int node = node_of[graph.neighbour[e]]; node >= 0)
+          below[k] = below[k] < 0 ? node : std::min(below[k], node);
+    }
+    if (added.parent[k] < 0) {
+      up.push_back(below[k]);
+    } else {
+      int& above = below[added.parent[k]];
+      if (below[k] >= 0) above = above < 0 ? below[k] : std::min(above, below[k]);
+      up.push_back(old + added.parent[k]);
+    }
+  }
+  // Depths, so that two ways up can be walked side by side.
+  const int nodes = static_cast<int>(up.size());
+  std::vector<int> depth(nodes, 0);
+  for (int k = old - 1; k >= 0; --k) depth[k] = up[k] < 0 ? 0 : depth[up[k]] + 1;
+  for (int k = nodes - 1; k >= old; --k) depth[k] = up[k] < 0 ? 0 : depth[up[k]] + 1;
+  for (int v = 0; v < n; ++v) {
+    for (int e = graph.begin[v]; e < graph.begin[v + 1]; ++e) {
+      const int u = graph.neighbour[e];
+      if (u > v || where[u] == where[v]) continue;
+      int a = where[u], b = where[v];
+      while (a != b && a >= 0 && b >= 0) {
+        if (depth[a] > depth[b]) {
+          a = up[a];
+        } else if (depth[b] > depth[a]) {
+          b = up[b];
+        } else {
+          a = up[a];
+          b = up[b];
+        }
+      }
+      if (a < 0 || b < 0) return false;  // two trees become one
+      if (a != where[u] && a != where[v]) where[u] = a;
+    }
+  }
+  std::vector<Node> forest(nodes);
+  for (int k = 0; k < nodes; ++k) forest[k].parent = up[k];
+  for (int v = 0; v < n; ++v) forest[where[v]].vertices.push_back(v);
+  result = in_postorder(forest);
+  return true;
 }
 
 }  // namespace fastloop::optimization::device

@@ -22,4 +22,11 @@ struct Dissection {
 /// alone.
 Dissection dissect(const block::Graph& graph, int leaf_size);
 
+/// Fits an older dissection to a graph that has grown or changed: `node_of` [n] tells the old node
+/// of every vertex, -1 for new ones, `parent` the old forest in postorder. New vertices are
+/// dissected among themselves and hung below what they touch; where an edge joins two branches, one
+/// end moves up to where they meet. False where that cannot be.
+bool extend_dissection(const block::Graph& graph, const std::vector<int>& node_of,
+                       const std::vector<int>& parent, int leaf_size, Dissection& result);
+
 }  // namespace fastloop::optimization::device
