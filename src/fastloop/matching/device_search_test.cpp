@@ -1,3 +1,6 @@
+#include <atomic>
+#include <thread>
+
 #include "fastloop/matching/descriptor_matching.hpp"
 #include "fastloop/matching/descriptor_pairs_for_tests.hpp"
 #include "fastloop/matching/device_for_tests.hpp"
@@ -109,6 +112,29 @@ TEST_F(DeviceSearch, SteadyStateAllocatesNothing) {
   const CudaCounters before = session_->counters();
   for (int i = 0; i < 5; ++i) expect_parity(scene, rule(2));
   EXPECT_EQ(session_->counters().allocations, before.allocations);
+}
+
+TEST_F(DeviceSearch, ThreadsShareASessionWhileKeyframesArrive) {
+  std::vector<Scene> scenes;
+  std::vector<std::vector<ProjectionMatches>> expected;
+  for (unsigned seed = 0; seed < 4; ++seed) {
+    scenes.push_back(random_scene(seed, seed % 2 == 1, {}));
+    expected.push_back(run(Executor::reference(), scenes.back(), rule(1)));
+  }
+  std::atomic<int> wrong{0};
+  std::vector<std::thread> threads;
+  for (std::size_t s = 0; s < scenes.size(); ++s)
+    threads.emplace_back([&, s] {
+      for (int i = 0; i < 30; ++i) {
+        const auto found = run(device(), scenes[s], rule(1));
+        for (std::size_t t = 0; t < found.size(); ++t)
+          wrong += found[t].keypoint != expected[s][t].keypoint;
+      }
+    });
+  for (int i = 0; i < 200; ++i)
+    make_resident(device(), std::make_shared<const FeatureSet>(scenes[0].features[0]));
+  for (std::thread& t : threads) t.join();
+  EXPECT_EQ(wrong, 0);
 }
 
 class DeviceMatching : public OnDevice {};
