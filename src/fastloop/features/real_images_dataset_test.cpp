@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <opencv2/core/utility.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <sstream>
 
@@ -217,6 +218,7 @@ std::size_t stereo_count(const FeatureSet& f) {
 }
 
 TEST(RealImages, EurocRowsAgreeAfterRectification) {
+  cv::setNumThreads(1);  // as FrameBuilder has it
   const fs::path folder = data_folder("euroc_v101_sparse");
   if (!fs::exists(folder)) GTEST_SKIP() << folder << " is absent";
   const Recording recording(folder / "mav0");
