@@ -6,7 +6,7 @@
 
 #include "fastloop/core/logging.hpp"
 #include "fastloop/core/time.hpp"
-#include "fastloop/optimization/pose_graph_device_math.hpp"
+#include "fastloop/optimization/pose_graph_device_edge.hpp"
 #include "fastloop/optimization/pose_graph_iteration.hpp"
 #include "fastloop/optimization/pose_graph_residual.hpp"
 

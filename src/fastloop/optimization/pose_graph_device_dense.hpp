@@ -221,39 +221,4 @@ FASTLOOP_HD inline bool factor_columns(const Team& team, const Matrix& a, int pi
   return ok;
 }
 
-/// Rows [0, rows) of `x`, `pivots` columns: x <- x L^-T with the factor of `factor_columns`.
-template <class Team>
-FASTLOOP_HD inline void solve_columns(const Team& team, const Square& x, const Square& l,
-                                      int pivots, int rows) {
-  for (int j = 0; j < pivots; j += kPanel) {
-    const int width = pivots - j < kPanel ? pivots - j : kPanel;
-    Triangle t;
-    const double* diagonal = l.column(j) + j;
-    FASTLOOP_UNROLL
-    for (int c = 0; c < kPanel; ++c) {
-      FASTLOOP_UNROLL
-      for (int r = c; r < kPanel; ++r) t.l[r][c] = r < width ? diagonal[c * l.rows + r] : r == c;
-    }
-    for (int r = team.rank(); r < rows; r += team.size()) solve_row(x, j, width, r, t);
-    team.sync();
-    const int first = j + width;
-    for (int unit = team.warp(); unit < 2 * ((pivots - first + 15) / 16); unit += team.warps()) {
-      for (int lane = team.lane(); lane < 32; lane += team.lanes()) {
-        const LaneTile tile(lane, 32 * (unit % 2), first + 16 * (unit / 2));
-        double acc[4][4] = {};
-        multiply_tile(x, rows, l, pivots, j, first, tile, acc);
-        FASTLOOP_UNROLL
-        for (int c = 0; c < 4; ++c) {
-          if (tile.column[c] >= pivots) continue;
-          double* column = x.column(tile.column[c]);
-          FASTLOOP_UNROLL
-          for (int r = 0; r < 4; ++r)
-            if (tile.row[r] < rows) column[tile.row[r]] -= acc[c][r];
-        }
-      }
-    }
-    team.sync();
-  }
-}
-
 }  // namespace fastloop::optimization::device

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "fastloop/optimization/pose_graph_device_fronts.hpp"
+#include "fastloop/optimization/pose_graph_device_tiles.hpp"
 
 /// The passes besides the factorisation: the two substitutions with the factor, and the edges.
 namespace fastloop::optimization::device {

@@ -6,7 +6,7 @@
 #include <limits>
 
 #include "fastloop/compute/cuda_session.hpp"
-#include "fastloop/optimization/pose_graph_device_math.hpp"
+#include "fastloop/optimization/pose_graph_device_edge.hpp"
 #include "fastloop/optimization/pose_graph_test_support.hpp"
 
 namespace fastloop::optimization {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "fastloop/optimization/pose_graph_device_fronts.hpp"
+#include "fastloop/optimization/pose_graph_device_tiles.hpp"
 
 namespace fastloop::optimization::device {
 namespace {
