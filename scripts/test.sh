@@ -45,8 +45,7 @@ fastloop_build "$preset"
 if [ "$preset" = tsan ]; then
   tbb=$(scripts/tsan_tbb.sh)
   # OpenMP below CHOLMOD is not instrumented: its barriers are invisible and every parallel loop looks like a race.
-  # So is OpenCV, which the system runs with one thread anyway.
-  export OMP_THREAD_LIMIT=1 OPENCV_FOR_THREADS_NUM=1
+  export OMP_THREAD_LIMIT=1
   export LD_LIBRARY_PATH=$tbb${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 fi
 ctest --test-dir "build/$preset" --parallel 2 --output-on-failure "$@"

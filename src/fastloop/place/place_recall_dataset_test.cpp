@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <opencv2/core/utility.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <sstream>
 
@@ -75,6 +76,7 @@ std::vector<View> read_views(const fs::path& folder) {
         (pose == poses.end() || stamp - std::prev(pose)->first < pose->first - stamp))
       --pose;
     if (std::abs(pose->first - stamp) > 30'000'000) continue;  // no ground truth there
+    cv::setNumThreads(1);  // as FrameBuilder has it
     const cv::Mat read = cv::imread(file.string(), cv::IMREAD_GRAYSCALE);
     ImageU8 image(read.cols, read.rows);
     for (int y = 0; y < read.rows; ++y) std::copy_n(read.ptr(y), read.cols, image.row(y));
