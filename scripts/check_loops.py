@@ -44,7 +44,7 @@ def read_poses(path):
         v = [float(x) for x in line.replace(",", " ").split()[:8]]
         if len(v) < 8:
             raise ValueError(f"{path}: expected eight numbers, found: {line}")
-        if v[0] > 1e14:  # nanoseconds: EuRoC csv
+        if "," in line:  # nanoseconds: EuRoC csv; stamps may begin at zero
             poses.append((v[0] * 1e-9, (v[1:4], (v[5], v[6], v[7], v[4]))))
         else:
             poses.append((v[0], (v[1:4], tuple(v[4:8]))))
