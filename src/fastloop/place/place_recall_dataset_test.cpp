@@ -58,6 +58,7 @@ std::map<Nanoseconds, SE3> read_poses(const fs::path& file) {
 }
 
 std::vector<View> read_views(const fs::path& folder) {
+  cv::setNumThreads(1);  // as FrameBuilder has it
   const auto poses = read_poses(folder / "V101_GT_left_cam.txt");
   std::vector<View> views;
   OrbOptions options;
@@ -76,7 +77,6 @@ std::vector<View> read_views(const fs::path& folder) {
         (pose == poses.end() || stamp - std::prev(pose)->first < pose->first - stamp))
       --pose;
     if (std::abs(pose->first - stamp) > 30'000'000) continue;  // no ground truth there
-    cv::setNumThreads(1);  // as FrameBuilder has it
     const cv::Mat read = cv::imread(file.string(), cv::IMREAD_GRAYSCALE);
     ImageU8 image(read.cols, read.rows);
     for (int y = 0; y < read.rows; ++y) std::copy_n(read.ptr(y), read.cols, image.row(y));
