@@ -171,8 +171,10 @@ TEST_F(DeviceMatching, ManyImagesInOneLaunch) {
     const CudaCounters before = session_->counters();
     EXPECT_EQ(match_descriptors(device(), sides[0].view(true), seconds), expected);
     EXPECT_EQ(session_->counters().launches - before.launches, 2u);  // with groups, without
-    EXPECT_LE(session_->counters().synchronizations - before.synchronizations, round == 1 ? 20u : 1u);
-    // From the second round on the groups are known not to change, and stay on the device.
+    // From the second round on the groups are known not to change, and stay on the device. While
+    // they go there, an upload may wait for a staging buffer of an earlier one.
+    EXPECT_LE(session_->counters().synchronizations - before.synchronizations,
+              round == 1 ? sides.size() + 1 : 1u);
     for (const testing::Side& side : sides) side.groups.id.assign();
   }
   EXPECT_TRUE(match_descriptors(device(), sides[0].view(true), std::span<const MatchSide>()).empty());
