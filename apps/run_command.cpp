@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "commands.hpp"
+#include "fastloop/compute/cuda_session.hpp"
 #include "fastloop/core/bounded_queue.hpp"
 #include "fastloop/core/error.hpp"
 #include "fastloop/core/logging.hpp"
@@ -161,6 +162,7 @@ void feed(const io::Dataset& dataset, system::System& system, const RunArguments
   system.finish();
   if (!system.frames().empty()) progress.update(system, true);
   memory.update(system, true, facts);
+  facts.device = CudaSession::process_wide_counters();
 }
 
 int run(const RunArguments& args) {

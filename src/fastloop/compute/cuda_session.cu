@@ -167,8 +167,14 @@ std::shared_ptr<CudaSession> CudaSession::open(std::string* reason) {
 bool CudaSession::usable() const { return !impl_->lost; }
 
 CudaCounters CudaSession::counters() const {
-  return {impl_->launches, impl_->synchronizations, impl_->allocations, impl_->bytes_to_device,
-          impl_->bytes_to_host};
+  std::uint64_t pool_bytes = 0;
+  if (cudaMemPoolGetAttribute(impl_->pool, cudaMemPoolAttrReservedMemHigh, &pool_bytes) !=
+      cudaSuccess) {
+    cudaGetLastError();
+    pool_bytes = 0;
+  }
+  return {impl_->launches,        impl_->synchronizations, impl_->allocations,
+          impl_->bytes_to_device, impl_->bytes_to_host,    impl_->slab_bytes + pool_bytes};
 }
 
 void CudaSession::inject_failure(int n, bool lost) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <typeindex>
@@ -38,6 +39,7 @@ struct CudaCounters {
   std::uint64_t synchronizations = 0;  ///< times the host waited
   std::uint64_t allocations = 0;       ///< of device or pinned memory
   std::uint64_t bytes_to_device = 0, bytes_to_host = 0;
+  std::uint64_t reserved_bytes = 0;  ///< of device memory, by this session; it gives none back
 };
 
 /// One stream on one device with memory of its own. Steps that run on it take the mutex for their
@@ -51,6 +53,8 @@ class CudaSession {
   /// The session of everyone who does not bring one, opened at the first call; null without a
   /// device, which is logged once.
   static std::shared_ptr<CudaSession> process_wide();
+  /// What that session did; nothing if it was never asked for or there is no device.
+  static std::optional<CudaCounters> process_wide_counters();
   ~CudaSession();
   CudaSession(const CudaSession&) = delete;
   CudaSession& operator=(const CudaSession&) = delete;

@@ -52,7 +52,7 @@ struct CudaSession::Impl {
   std::atomic<int> fail_at{0};  ///< counts down; 0: never
   std::atomic<bool> fail_lost{false};
   std::atomic<std::uint64_t> launches{0}, synchronizations{0}, allocations{0}, bytes_to_device{0},
-      bytes_to_host{0};
+      bytes_to_host{0}, slab_bytes{0};  // slab_bytes: device memory that is not of the pool
 };
 
 #define FASTLOOP_CUDA_CHECK(impl, call) (impl).check((call), #call)

@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "fastloop/compute/cuda_session.hpp"
+
 namespace fastloop {
 namespace {
 
@@ -25,6 +27,12 @@ TEST(Executor, ExceptionsReachTheCaller) {
     EXPECT_THROW(executor.for_ranges(
                      100, 1, [](std::size_t, std::size_t) { throw std::runtime_error("x"); }),
                  std::runtime_error);
+}
+
+TEST(CudaSession, CountersOfTheSharedSessionExistOnceItWasAskedFor) {
+  EXPECT_FALSE(CudaSession::process_wide_counters());
+  const auto session = CudaSession::process_wide();
+  EXPECT_EQ(CudaSession::process_wide_counters().has_value(), session != nullptr);
 }
 
 }  // namespace

@@ -79,6 +79,8 @@ void add_loops(HtmlPage& page, const Json& table, const std::string& prefix) {
                     number_html(key + ".tracking_around_loops_ms.worst", t.at("worst"), 1);
       memory += (memory.empty() ? "" : ", ") +
                 number_html(key + ".host_peak_mib.max", b.at("host_peak_mib").at("max"), 0);
+      if (const Json& device = b.at("device_peak_mib"); !device.is_null())
+        memory += " + " + number_html(key + ".device_peak_mib.max", device.at("max"), 0);
     }
     if (s.contains("comparison")) {
       kept.clear();

@@ -91,6 +91,9 @@ void add_cards(HtmlPage& page, const ReportInput& input, const Json& evaluation)
   cards.emplace_back("frames a second", of(t, "timing", "fps", 1));
   cards.emplace_back("memory, peak", number_html("timing.memory.peak_mib",
                                                  t.at("memory").at("peak_mib"), 0, "MiB"));
+  if (const Json device = t.value("device", Json()); !device.is_null())
+    cards.emplace_back("memory of the device",
+                       number_html("timing.device.peak_mib", device.at("peak_mib"), 0, "MiB"));
   page.cards(cards);
 }
 

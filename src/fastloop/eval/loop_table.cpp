@@ -31,6 +31,15 @@ Json statistics_or_null(std::vector<double> values) {
   return values.empty() ? Json() : to_json(describe(std::move(values)));
 }
 
+/// Null unless every run used a device.
+Json device_json(const std::vector<RunMeasurement>& runs,
+                 std::optional<double> RunMeasurement::*member) {
+  std::vector<double> values;
+  for (const RunMeasurement& run : runs)
+    if (run.*member) values.push_back(*(run.*member));
+  return values.size() == runs.size() ? statistics_or_null(values) : Json();
+}
+
 Json tracking_json(std::size_t frames, double p50, double p99, double worst) {
   return {{"frames", frames}, {"p50", p50}, {"p99", p99}, {"worst", worst}};
 }
@@ -64,7 +73,8 @@ Json backend_json(const std::vector<RunMeasurement>& runs, bool has_truth) {
       tracking_json(first.tracking.count, tracking(&StageStatistics::p50_ms),
                     tracking(&StageStatistics::p99_ms), tracking(&StageStatistics::max_ms));
   j["host_peak_mib"] = to_json(describe(over_runs(runs, [](const auto& r) { return r.peak_mib; })));
-  j["device_peak_mib"] = j["device_transfers_mib"] = Json();  // no back end with a device yet
+  j["device_peak_mib"] = device_json(runs, &RunMeasurement::device_peak_mib);
+  j["device_transfers_mib"] = device_json(runs, &RunMeasurement::device_transfers_mib);
   return j;
 }
 
@@ -120,6 +130,11 @@ RunMeasurement measure(const RunFolder& run, const std::optional<Evaluation>& ev
     m.path_length_m = evaluation->path_length_m;
   }
   m.peak_mib = run.timing.at("memory").at("peak_mib").get<double>();
+  if (const Json device = run.timing.value("device", Json()); !device.is_null()) {
+    m.device_peak_mib = device.at("peak_mib").get<double>();
+    m.device_transfers_mib =
+        device.at("to_device_mib").get<double>() + device.at("to_host_mib").get<double>();
+  }
   m.frames = run.summary.at("frames").get<std::size_t>();
   m.keyframes = run.summary.at("keyframes").get<std::size_t>();
   return m;

@@ -28,6 +28,7 @@ struct RunMeasurement {
   StageStatistics tracking;                           ///< of all frames
   double ate_m = 0, coverage = 0, path_length_m = 0;  ///< 0 without ground truth
   double peak_mib = 0;
+  std::optional<double> device_peak_mib, device_transfers_mib;  ///< nothing without a device
   std::size_t frames = 0, keyframes = 0;
 };
 RunMeasurement measure(const RunFolder& run, const std::optional<Evaluation>& evaluation);

@@ -73,6 +73,23 @@ TEST(LoopTable, MeansSpeedUpsAndTheRestOfARow) {
   EXPECT_TRUE(cpu["device_peak_mib"].is_null());
 }
 
+TEST(LoopTable, MemoryAndTransfersOfADevice) {
+  auto with = runs_of(20, 0.01);
+  for (std::size_t i = 0; i < with.size(); ++i) {
+    with[i].device_peak_mib = 64.0 + static_cast<double>(i);
+    with[i].device_transfers_mib = 7;
+  }
+  const auto table_of = [&] {
+    return loop_table_json(info({"reference", "cuda"}), {row("A", {runs_of(100, 0.01), with})});
+  };
+  const Json table = table_of();
+  EXPECT_DOUBLE_EQ(table["sequences"][0]["backends"]["cuda"]["device_peak_mib"]["max"], 66);
+  EXPECT_DOUBLE_EQ(table["sequences"][0]["backends"]["cuda"]["device_transfers_mib"]["max"], 7);
+  EXPECT_NE(loop_table_markdown(table).find("| 66 MiB | 7 MiB |"), std::string::npos);
+  with[1].device_peak_mib.reset();  // the device was lost in one run: no figure, not a wrong one
+  EXPECT_TRUE(table_of()["sequences"][0]["backends"]["cuda"]["device_peak_mib"].is_null());
+}
+
 TEST(LoopTable, AccuracyIsKeptWithinFivePercentOrTwoMillimetres) {
   const auto kept = [](double reference, double other) {
     const Json table = loop_table_json(info({"reference", "cpu"}),

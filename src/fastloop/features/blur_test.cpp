@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <opencv2/core/utility.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "fastloop/features/cv_view.hpp"
@@ -12,7 +11,6 @@ namespace fastloop {
 namespace {
 
 TEST(Blur, IsThatOfOpenCvWithinOneGreyLevel) {
-  cv::setNumThreads(1);  // as FrameBuilder has it
   for (const auto& [width, height] : {std::pair{301, 160}, {33, 9}, {4, 4}, {7, 50}}) {
     const ImageU8 image = synthetic_scene::textured_image(width, height, 8);
     cv::Mat expected;

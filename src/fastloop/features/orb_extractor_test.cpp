@@ -7,7 +7,6 @@
 #include <cmath>
 #include <cstring>
 #include <numeric>
-#include <opencv2/core/utility.hpp>
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 #include <random>
@@ -130,7 +129,6 @@ TEST(OrbDescriptor, EqualsOpenCvOnTheSameKeypoints) {
 /// Share of the features of `image`, moved by `warp`, that have a feature of `warped` within 2
 /// pixels (at their scale) whose descriptor is the nearest of all.
 double share_found_again(const ImageU8& image, const cv::Matx23d& warp, int width, int height) {
-  cv::setNumThreads(1);  // as FrameBuilder has it
   ImageU8 warped(width, height);
   cv::Mat target = as_mat(warped);
   cv::warpAffine(as_mat(image), target, warp, target.size(), cv::INTER_LINEAR,

@@ -161,6 +161,16 @@ Json memory_json(const RunFacts& facts) {
   return {{"peak_mib", facts.peak_mib}, {"samples", samples}};
 }
 
+Json device_json(const std::optional<CudaCounters>& c) {
+  if (!c) return nullptr;
+  const auto mib = [](std::uint64_t bytes) { return static_cast<double>(bytes) / (1 << 20); };
+  return {{"peak_mib", mib(c->reserved_bytes)},
+          {"to_device_mib", mib(c->bytes_to_device)},
+          {"to_host_mib", mib(c->bytes_to_host)},
+          {"launches", c->launches},
+          {"waits", c->synchronizations}};
+}
+
 Json machine_json(const MachineFacts& m) {
   return {{"cpu", m.cpu},           {"cores", m.cores}, {"memory_gib", m.memory_gib},
           {"compiler", m.compiler}, {"build", m.build}, {"commit", m.commit}};
@@ -189,6 +199,7 @@ void write_timing(const std::filesystem::path& path, const system::System& syste
   j["track_p50_ms_by_fifth"] = fifths;
   j["track_around_loops"] = tracking_around_loops(system);
   j["memory"] = memory_json(facts);
+  j["device"] = device_json(facts.device);
   j["machine"] = machine_json(facts.machine);
   j["first_stamp_ns"] = system.frames().empty() ? 0 : system.frames().front().stamp_ns;
   j["track_by_frame"] = tracking_by_frame(system);

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "fastloop/compute/cuda_session.hpp"
 #include "fastloop/system/system.hpp"
 
 namespace fastloop::io {
@@ -34,6 +36,7 @@ struct RunFacts {
   std::string ground_truth;  ///< file of the data set; empty when it has none
   std::vector<MemorySample> memory;
   double peak_mib = 0;
+  std::optional<CudaCounters> device;  ///< nothing when no step asked for one
   MachineFacts machine;
 };
 

@@ -117,6 +117,7 @@ bool ResidentStore::Impl::grow(std::size_t bytes) {
   }
   cuda.check(error, "cudaMalloc");
   ++cuda.allocations;
+  cuda.slab_bytes += wanted;
   slabs.push_back(static_cast<std::byte*>(memory));
   space.add_slab(wanted);
   return true;

@@ -117,6 +117,7 @@ TEST_F(ResidentStoreTest, GrowsBeyondAThousandWithoutMoving) {
   EXPECT_EQ(s.bytes_taken, bytes);
   EXPECT_LT(s.bytes_reserved, bytes + bytes / 10 + (2 << 20));
   EXPECT_EQ(s.evictions, 0u);
+  EXPECT_GE(session_->counters().reserved_bytes, s.bytes_reserved);
   for (std::size_t first = 0; first < all.size(); first += 123)
     expect_parity(scene, std::span(all).subspan(first / 3 * 3, 3));
 }
