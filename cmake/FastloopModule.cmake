@@ -15,7 +15,10 @@ target_compile_options(fastloop_warnings INTERFACE
                        $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-maybe-uninitialized;-Wno-restrict>
                        $<$<COMPILE_LANGUAGE:CUDA>:-Xcompiler=-Wall;-Xcudafe=--diag_suppress=20012>)
 add_library(fastloop_sanitizers INTERFACE)
+# Seconds that a test may take; sanitizers slow the longest of them down more than ten times.
+set(FASTLOOP_TEST_TIMEOUT 900)
 if(FASTLOOP_SANITIZE)
+  set(FASTLOOP_TEST_TIMEOUT 3600)
   target_compile_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE}
                          -fno-omit-frame-pointer)
   target_link_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE})
@@ -29,7 +32,7 @@ function(fastloop_test_executable target prefix label)
   add_executable(${target} ${T_SOURCES})
   target_link_libraries(${target} PRIVATE ${T_DEPS} fastloop_warnings GTest::gtest_main GTest::gmock)
   gtest_discover_tests(${target} TEST_PREFIX "${prefix}/" DISCOVERY_TIMEOUT 60
-                       PROPERTIES LABELS ${label} TIMEOUT 900)
+                       PROPERTIES LABELS ${label} TIMEOUT ${FASTLOOP_TEST_TIMEOUT})
 endfunction()
 
 function(fastloop_module name)
