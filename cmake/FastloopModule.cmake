@@ -17,8 +17,10 @@ target_compile_options(fastloop_warnings INTERFACE
 add_library(fastloop_sanitizers INTERFACE)
 # Seconds that a test may take; sanitizers slow the longest of them down more than ten times.
 set(FASTLOOP_TEST_TIMEOUT 900)
+set(FASTLOOP_SHORT_TEST_TIMEOUT 300)
 if(FASTLOOP_SANITIZE)
   set(FASTLOOP_TEST_TIMEOUT 3600)
+  set(FASTLOOP_SHORT_TEST_TIMEOUT 1200)
   target_compile_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE}
                          -fno-omit-frame-pointer)
   target_link_options(fastloop_sanitizers INTERFACE -fsanitize=${FASTLOOP_SANITIZE})
