@@ -28,6 +28,9 @@ class Executor {
   Kind kind() const { return kind_; }
   /// Runs one thing after the other in the calling thread.
   bool sequential() const { return kind_ == Kind::kReference; }
+  /// For passes of some microseconds: this executor while helpers are awake for the calling thread
+  /// (WorkerTeam), otherwise a plain loop.
+  Executor for_short_passes() const;
   /// Not null exactly for kCuda.
   CudaSession* cuda_session() const { return session_.get(); }
 

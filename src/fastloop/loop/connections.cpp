@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 #include <tuple>
 #include <unordered_map>
 
@@ -61,9 +62,17 @@ std::vector<KeyframeId> ascending(std::span<const KeyframeId> ids) {
 
 /// One observer of a group of landmarks that become one.
 struct Observer {
-  std::int32_t row;     ///< among the connected keyframes, or -1
-  std::uint32_t column; ///< among all observers
+  std::uint32_t index;  ///< among the connected keyframes, or among all others
   std::int32_t part;    ///< which landmark or new observation of its group it comes from
+};
+
+/// Observers of all groups, those among the connected keyframes and the others apart.
+struct Observers {
+  std::vector<Observer> inside, outside;
+  struct End {
+    std::size_t inside, outside;
+  };
+  std::vector<End> groups;  ///< where each one's observers end
 };
 
 /// Part of a group: a landmark, or one keyframe that sees it from now on.
@@ -72,33 +81,43 @@ struct Part {
   KeyframeId keyframe;
 };
 
+/// Parts with the same winner lie together.
 std::vector<Part> parts_by_winner(const Fusion& fusion) {
-  std::vector<Part> parts;
-  parts.reserve(fusion.merges.size() + fusion.observations.size());
-  for (const map::LandmarkMerge& m : fusion.merges) parts.push_back({m.winner, m.loser, {}});
+  const std::size_t n = fusion.merges.size() + fusion.observations.size();
+  FlatIndex groups(n);
+  std::vector<std::uint32_t> group_of, next(n + 1, 0);
+  group_of.reserve(n);
+  const auto count = [&](LandmarkId winner) {
+    group_of.push_back(groups.number_of(winner.value()));
+    ++next[group_of.back() + 1];
+  };
+  for (const map::LandmarkMerge& m : fusion.merges) count(m.winner);
+  for (const map::NewObservation& o : fusion.observations) count(o.landmark);
+  std::partial_sum(next.begin(), next.end(), next.begin());
+  std::vector<Part> parts(n);
+  auto group = group_of.begin();
+  for (const map::LandmarkMerge& m : fusion.merges)
+    parts[next[*group++]++] = {m.winner, m.loser, {}};
   for (const map::NewObservation& o : fusion.observations)
-    parts.push_back({o.landmark, {}, o.keyframe});
-  std::sort(parts.begin(), parts.end(),
-            [](const Part& a, const Part& b) { return a.winner < b.winner; });
+    parts[next[*group++]++] = {o.landmark, {}, o.keyframe};
   return parts;
 }
 
-}  // namespace
-
-std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
-                                             std::span<const KeyframeId> connected,
-                                             const Fusion& fusion, int min_shared) {
-  const std::vector<KeyframeId> inside = ascending(connected);
-  const std::vector<Part> parts = parts_by_winner(fusion);
-  FlatIndex columns(1024);
-  std::vector<std::int32_t> row_of_column;
-  std::vector<Observer> observers;
-  std::vector<std::size_t> group_end;
+Observers observers_of(const Snapshot& snapshot, std::span<const KeyframeId> inside,
+                       const Fusion& fusion, FlatIndex& columns) {
+  std::vector<std::int32_t> row_of(snapshot.keyframe_slots(), -1);
+  for (std::size_t row = 0; row < inside.size(); ++row)
+    row_of[inside[row].value()] = static_cast<std::int32_t>(row);
+  Observers observers;
   const auto see = [&](KeyframeId id, std::int32_t part) {
-    const std::uint32_t column = columns.number_of(id.value());
-    if (column == row_of_column.size()) row_of_column.push_back(index_of(inside, id));
-    observers.push_back({row_of_column[column], column, part});
+    if (const std::int32_t row = row_of[id.value()]; row >= 0)
+      observers.inside.push_back({static_cast<std::uint32_t>(row), part});
+    else
+      observers.outside.push_back({columns.number_of(id.value()), part});
   };
+  const std::vector<Part> parts = parts_by_winner(fusion);
+  observers.inside.reserve(16 * parts.size());
+  observers.outside.reserve(16 * parts.size());
   for (std::size_t i = 0; i < parts.size();) {
     const LandmarkId winner = parts[i].winner;
     std::int32_t part = 0;
@@ -111,16 +130,27 @@ std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
         for (const map::Observation& o : snapshot.landmark(parts[i].landmark).observations)
           see(o.keyframe, part);
     }
-    group_end.push_back(observers.size());
+    observers.groups.push_back({observers.inside.size(), observers.outside.size()});
   }
+  return observers;
+}
+
+}  // namespace
+
+std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
+                                             std::span<const KeyframeId> connected,
+                                             const Fusion& fusion, int min_shared) {
+  const std::vector<KeyframeId> inside = ascending(connected);
+  FlatIndex columns(1024);  // of the others
+  const Observers observers = observers_of(snapshot, inside, fusion, columns);
   std::vector<int> gained(inside.size() * columns.size(), 0);
-  std::size_t begin = 0;
-  for (const std::size_t end : group_end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      if (observers[i].row < 0) continue;
-      int* row = gained.data() + static_cast<std::size_t>(observers[i].row) * columns.size();
-      for (std::size_t j = begin; j < end; ++j)
-        row[observers[j].column] += observers[j].part != observers[i].part;
+  Observers::End begin{0, 0};
+  for (const Observers::End end : observers.groups) {
+    for (std::size_t i = begin.inside; i < end.inside; ++i) {
+      const Observer& from = observers.inside[i];
+      int* row = gained.data() + from.index * columns.size();
+      for (std::size_t j = begin.outside; j < end.outside; ++j)
+        row[observers.outside[j].index] += observers.outside[j].part != from.part;
     }
     begin = end;
   }
@@ -128,7 +158,7 @@ std::vector<LoopConnection> find_connections(const Snapshot& snapshot,
   for (std::size_t row = 0; row < inside.size(); ++row)
     for (std::size_t column = 0; column < columns.size(); ++column) {
       const int more = gained[row * columns.size() + column];
-      if (more == 0 || row_of_column[column] >= 0) continue;
+      if (more == 0) continue;
       const KeyframeId other(columns.key(column));
       const int before = snapshot.num_shared(inside[row], other);
       if (before < min_shared && before + more >= min_shared)

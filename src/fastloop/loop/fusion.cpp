@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <numeric>
 #include <tuple>
 
 #include "fastloop/loop/flat_index.hpp"
@@ -16,27 +17,46 @@ struct Claim {
   std::uint32_t keyframe;  ///< index in the list of keyframes
   std::uint32_t keypoint;
   LandmarkId landmark;
+  std::uint32_t node = 0;         ///< of the landmark
+  std::uint32_t there = kNobody;  ///< node of the landmark that the keypoint shows already
+
+  static constexpr std::uint32_t kNobody = 0xffffffffu;
 };
 
 /// Sets of landmarks that are one, with the keyframes that see any of them. All lists lie one after
 /// another in one array; a list that grows is written anew at its end.
 class Groups {
  public:
-  Groups(const Snapshot& snapshot, std::size_t expected) : snapshot_(snapshot), node_(expected) {
-    parent_.reserve(expected);
-    list_.reserve(expected);
-    pool_.reserve(16 * expected);
-  }
+  explicit Groups(std::size_t expected) : node_(expected) {}
 
-  std::uint32_t of(LandmarkId id) {
-    const std::uint32_t node = node_.number_of(id.value());
-    if (node < parent_.size()) return root(node);
-    parent_.push_back(node);
-    const std::size_t begin = pool_.size();
-    for (const map::Observation& o : snapshot_.landmark(id).observations)
-      pool_.push_back(o.keyframe);
-    list_.push_back({begin, pool_.size()});
-    return node;
+  /// A group of its own for each landmark; all of them before gather().
+  std::uint32_t number_of(LandmarkId id) { return node_.number_of(id.value()); }
+
+  /// Takes in who sees what, on all cores: landmarks and their lists lie scattered in memory.
+  void gather(const Executor& executor, const Snapshot& snapshot) {
+    parent_.resize(node_.size());
+    std::iota(parent_.begin(), parent_.end(), 0u);
+    list_.resize(node_.size());
+    std::vector<const std::vector<map::Observation>*> seen(node_.size());
+    executor.for_ranges(node_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t n = begin; n < end; ++n) {
+        seen[n] = &snapshot.landmark(landmark(n)).observations;
+        list_[n].end = seen[n]->size();
+      }
+    });
+    std::size_t total = 0;
+    for (List& list : list_) {
+      list.begin = total;
+      list.end = total += list.end;
+    }
+    pool_.reserve(4 * total);
+    pool_.resize(total);
+    executor.for_ranges(node_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t n = begin; n < end; ++n) {
+        KeyframeId* out = pool_.data() + list_[n].begin;
+        for (const map::Observation& o : *seen[n]) *out++ = o.keyframe;
+      }
+    });
   }
   bool sees(std::uint32_t group, KeyframeId keyframe) const {
     const auto [begin, end] = list_[group];
@@ -67,7 +87,7 @@ class Groups {
     list_[a] = {begin, pool_.size()};
     parent_[b] = a;
   }
-  std::size_t size() const { return parent_.size(); }
+  std::size_t size() const { return node_.size(); }
   LandmarkId landmark(std::size_t node) const { return LandmarkId(node_.key(node)); }
   std::uint32_t root(std::uint32_t n) {
     while (parent_[n] != n) n = parent_[n] = parent_[parent_[n]];
@@ -75,14 +95,15 @@ class Groups {
   }
 
  private:
+  static constexpr std::size_t kGrain = 256;  // landmarks worth a task
+
   struct List {
-    std::size_t begin, end;
+    std::size_t begin = 0, end = 0;
   };
   std::vector<KeyframeId>::const_iterator at(std::size_t i) const {
     return pool_.begin() + static_cast<std::ptrdiff_t>(i);
   }
 
-  const Snapshot& snapshot_;
   FlatIndex node_;
   std::vector<std::uint32_t> parent_;
   std::vector<List> list_;  ///< of roots: observers, ascending
@@ -111,13 +132,22 @@ struct Places {
   }
 };
 
-/// What was found, by distance, then keyframe, then keypoint: written into place, not sorted.
-std::vector<Claim> ordered_claims(const Places& places, const matching::MatchLists& found,
+/// What verification confirmed, then what was found by distance, then keyframe, then keypoint:
+/// written into place, not sorted.
+std::vector<Claim> ordered_claims(const Places& places, const RegionMatch& match,
+                                  const matching::MatchLists& found,
                                   const map::LandmarkArrays& cloud) {
+  std::vector<Claim> claims;
+  const auto current = static_cast<std::uint32_t>(
+      std::lower_bound(places.keyframes.begin(), places.keyframes.end(), match.current) -
+      places.keyframes.begin());
+  for (std::uint32_t i = 0; i < match.landmarks.size(); ++i)
+    if (match.landmarks[i].valid()) claims.push_back({current, i, match.landmarks[i]});
   std::array<std::size_t, 258> next{};  // first place of each distance
   for (const matching::KeypointMatch& m : found.matches) ++next[m.distance + 1u];
+  next[0] = claims.size();
   for (std::size_t d = 1; d < next.size(); ++d) next[d] += next[d - 1];
-  std::vector<Claim> claims(next.back());
+  claims.resize(next.back());
   for (std::uint32_t k = 0; k < places.keyframes.size(); ++k)
     if (places.searched[k] < found.size())
       for (const matching::KeypointMatch& m : found[places.searched[k]])
@@ -135,13 +165,14 @@ void name_winners(Groups& groups, Fusion& fusion) {
   for (std::uint32_t n = 0; n < groups.size(); ++n)
     if (const LandmarkId w = winner[groups.root(n)]; w != groups.landmark(n))
       fusion.merges.push_back({groups.landmark(n), w});
-  for (map::NewObservation& o : fusion.observations) o.landmark = winner[groups.of(o.landmark)];
+  for (map::NewObservation& o : fusion.observations) o.landmark = winner[groups.root(groups.number_of(o.landmark))];
   std::sort(fusion.merges.begin(), fusion.merges.end(),
             [](const auto& a, const auto& b) { return a.loser < b.loser; });
+  const auto place_of = [](const map::NewObservation& o) {
+    return std::uint64_t{o.keyframe.value()} << 32 | o.keypoint;
+  };
   std::sort(fusion.observations.begin(), fusion.observations.end(),
-            [](const auto& a, const auto& b) {
-              return std::tie(a.keyframe, a.keypoint) < std::tie(b.keyframe, b.keypoint);
-            });
+            [&](const auto& a, const auto& b) { return place_of(a) < place_of(b); });
 }
 
 }  // namespace
@@ -157,30 +188,29 @@ Fusion fuse_loop(const StepExecutors& executors, const Snapshot& snapshot, const
       find_in_keyframes(executors, snapshot, {&place, 1}, options.fusion_radius_px,
                         options.fusion_max_distance);
   const Places places(snapshot, match.current, moved);
-  Groups groups(snapshot, 4 * cloud.size());
-  std::vector<std::uint8_t> taken(places.keypoints, 0);
+  std::vector<Claim> claims = ordered_claims(places, match, found, cloud);
+  Groups groups(4 * cloud.size());
+  for (Claim& c : claims) {
+    c.node = groups.number_of(c.landmark);
+    const LandmarkId there = snapshot.keyframe(places.keyframes[c.keyframe]).landmarks[c.keypoint];
+    if (there.valid()) c.there = groups.number_of(there);
+  }
+  groups.gather(executors.host(), snapshot);
   Fusion fusion;
-  const auto take = [&](const Claim& c) {
-    const std::uint32_t group = groups.of(c.landmark);
-    const KeyframeId keyframe = places.keyframes[c.keyframe];
-    const LandmarkId there = snapshot.keyframe(keyframe).landmarks[c.keypoint];
-    if (there.valid()) {
-      groups.join(group, groups.of(there));
-      return;
+  std::vector<std::uint8_t> taken(places.keypoints, 0);
+  for (const Claim& c : claims) {
+    const std::uint32_t group = groups.root(c.node);
+    if (c.there != Claim::kNobody) {
+      groups.join(group, groups.root(c.there));
+      continue;
     }
+    const KeyframeId keyframe = places.keyframes[c.keyframe];
     std::uint8_t& occupied = taken[places.first_keypoint[c.keyframe] + c.keypoint];
-    if (occupied || groups.sees(group, keyframe)) return;
+    if (occupied || groups.sees(group, keyframe)) continue;
     occupied = 1;
     groups.add_observer(group, keyframe);
     fusion.observations.push_back({c.landmark, keyframe, c.keypoint});
-  };
-  // What verification confirmed comes first.
-  const auto current = static_cast<std::uint32_t>(
-      std::lower_bound(places.keyframes.begin(), places.keyframes.end(), match.current) -
-      places.keyframes.begin());
-  for (std::uint32_t i = 0; i < match.landmarks.size(); ++i)
-    if (match.landmarks[i].valid()) take({current, i, match.landmarks[i]});
-  for (const Claim& c : ordered_claims(places, found, cloud)) take(c);
+  }
   name_winners(groups, fusion);
   return fusion;
 }

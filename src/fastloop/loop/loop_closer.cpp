@@ -1,5 +1,7 @@
 #include "fastloop/loop/loop_closer.hpp"
 
+#include "fastloop/compute/worker_team.hpp"
+
 namespace fastloop::loop {
 
 LoopCloser::LoopCloser(const LoopOptions& options, Backend backend,
@@ -60,6 +62,8 @@ void LoopCloser::forget(KeyframeId keyframe) {
 }
 
 LoopCloser::Outcome LoopCloser::process(const map::Snapshot& snapshot, KeyframeId keyframe) {
+  std::optional<WorkerTeam::Shift> shift;
+  if (!executors_.reference()) shift.emplace();
   Outcome outcome;
   outcome.waiting_before = detector_.waiting();
   StageClock clock;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "fastloop/compute/worker_team.hpp"
 #include "fastloop/loop/connections.hpp"
 #include "fastloop/loop/landmark_update.hpp"
 #include "fastloop/loop/verification.hpp"
@@ -79,7 +80,10 @@ void optimise_graph(const Snapshot& snapshot, const LoopOptions& options,
   solve.solver = solver_for(executors, memory.graph.problem);
   solve.relative_tolerance = 1e-14;  // 1e-10 leaves poses of 3,000 keyframes 1e-5 m away
   solve.threads = executors.reference() ? 1 : options.graph_threads;
-  optimization::solve_pose_graph(memory.graph.problem, solve, &memory.plan, memory.graph_result);
+  {
+    const WorkerTeam::Rest rest;  // the solver has workers of its own
+    optimization::solve_pose_graph(memory.graph.problem, solve, &memory.plan, memory.graph_result);
+  }
   for (std::size_t v = 0; v < memory.graph.keyframe_of_vertex.size(); ++v) {
     const KeyframeId id = memory.graph.keyframe_of_vertex[v];
     c.states.push_back({id, snapshot.keyframe(id).state,

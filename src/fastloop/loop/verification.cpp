@@ -141,10 +141,13 @@ bool Verifier::refine(const Snapshot& snapshot, KeyframeId current, Hypothesis& 
                       int min_inliers) const {
   const std::vector<optimization::SimilarityPair> pairs =
       make_refinement_pairs(snapshot, current, h.window, *h.cloud, h.found);
-  const bool published = executors_.reference();
+  const Camera& camera = snapshot.rig().left;
+  const Sim3 initial(h.T_camera_world);
   const optimization::SimilarityResult refined =
-      (published ? optimization::refine_similarity_reference : optimization::refine_similarity)(
-          snapshot.rig().left, Sim3(h.T_camera_world), pairs, {});
+      executors_.reference()
+          ? optimization::refine_similarity_reference(camera, initial, pairs)
+          : optimization::refine_similarity(camera, initial, pairs, {},
+                                            executors_.host().for_short_passes());
   if (!h.gate("refined inliers", refined.num_inliers, min_inliers,
               refined.num_inliers >= min_inliers))
     return false;

@@ -5,6 +5,7 @@
 #include <mutex>
 #include <queue>
 
+#include "fastloop/compute/worker_team.hpp"
 #include "fastloop/core/time.hpp"
 
 namespace fastloop::map {
@@ -195,7 +196,7 @@ Fault check_growth(const Snapshot& map, const LoopCorrection& c, const Corrected
   const std::size_t stride = c.states.size() / kSamples + 1;
   std::vector<double> before, after;
   std::mutex mutex;
-  executor.for_ranges(c.states.size(), 64, [&](std::size_t begin, std::size_t end) {
+  executor.for_ranges(c.states.size(), 32, [&](std::size_t begin, std::size_t end) {
     std::vector<double> was, is;
     for (; begin < end; ++begin)
       if (begin % stride == 0 && map.contains(c.states[begin].keyframe))
@@ -326,6 +327,8 @@ Fault find_fault(const Snapshot& map, const LoopCorrection& c, const CorrectionL
 
 CorrectionOutcome apply_correction(Map& map, const LoopCorrection& c,
                                    const CorrectionLimits& limits, const Executor& executor) {
+  std::optional<WorkerTeam::Shift> shift;
+  if (!executor.sequential()) shift.emplace();
   CorrectionOutcome outcome;
   const Stopwatch watch;
   const Fault fault = find_fault(map, c, limits, executor);

@@ -36,6 +36,8 @@ class KeypointLandmarks {
   bool operator==(const KeypointLandmarks& o) const { return *ids_ == *o.ids_; }
 
   void set(std::size_t keypoint, LandmarkId id) { ids_.mutate()[keypoint] = id; }
+  /// Copies the list now if others share it.
+  void unshare() { ids_.mutate(); }
 
  private:
   CowPointer<std::vector<LandmarkId>> ids_;

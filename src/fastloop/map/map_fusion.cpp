@@ -23,18 +23,19 @@ class SharedChanges {
       if (id.valid())
         for (const Observation& o : map.landmark(id).observations) take(o.keyframe);
     };
-    for (const LandmarkMerge& m : merges) {
-      involve(m.loser);
-      involve(m.winner);
-    }
-    for (const NewObservation& o : observations) {
-      involve(o.landmark);
-      take(o.keyframe);
-    }
+    for (const LandmarkMerge& m : merges) involve(m.loser);
+    for (const NewObservation& o : observations) take(o.keyframe);
+    num_rewritten_ = keyframes_.size();
+    for (const LandmarkMerge& m : merges) involve(m.winner);
+    for (const NewObservation& o : observations) involve(o.landmark);
     if (fits()) change_.assign(keyframes_.size() * keyframes_.size(), 0);
   }
   bool fits() const { return keyframes_.size() <= kMaxInvolved; }
   std::span<const KeyframeId> keyframes() const { return keyframes_; }
+  /// Those whose keypoints will show another landmark, or none.
+  std::span<const KeyframeId> rewritten() const {
+    return std::span(keyframes_).first(num_rewritten_);
+  }
 
   /// Between one keyframe and each of several others.
   void add(KeyframeId a, std::span<const Observation> others, int change) {
@@ -57,6 +58,7 @@ class SharedChanges {
 
   std::vector<std::int32_t> index_;  ///< [keyframe slots] place in keyframes_ or -1
   std::vector<KeyframeId> keyframes_;
+  std::size_t num_rewritten_ = 0;
   std::vector<std::int32_t> change_;  ///< [keyframes_ x keyframes_]
 };
 
@@ -89,13 +91,15 @@ class LandmarkFusion {
   LandmarkFusion(Map& map, SharedChanges& changes) : map_(map), changes_(changes) {}
 
   /// Clones what snapshots share of the landmarks to be written to, on all cores: a chunk holds
-  /// many lists, and cloning one after another would take longer than all the rest.
-  void unshare(const Executor& executor, std::span<const LandmarkMerge> merges,
-               std::span<const NewObservation> observations) {
+  /// many lists, and cloning one after another would take longer than all the rest. Comes first, for
+  /// it also brings all that into the caches.
+  static void unshare_landmarks(Map& map, const Executor& executor,
+                                std::span<const LandmarkMerge> merges,
+                                std::span<const NewObservation> observations) {
     constexpr std::size_t kChunk = Map::Landmarks::kItems;
-    std::vector<std::uint8_t> wanted(map_.landmark_slots() / kChunk + 1, 0);
+    std::vector<std::uint8_t> wanted(map.landmark_slots() / kChunk + 1, 0);
     const auto want = [&](LandmarkId id) {
-      if (id = map_.resolve(id); id.valid()) wanted[id.value() / kChunk] = 1;
+      if (id = map.resolve(id); id.valid()) wanted[id.value() / kChunk] = 1;
     };
     for (const LandmarkMerge& m : merges) {
       want(m.loser);
@@ -105,8 +109,18 @@ class LandmarkFusion {
     std::vector<std::size_t> chunks;
     for (std::size_t c = 0; c < wanted.size(); ++c)
       if (wanted[c]) chunks.push_back(c);
-    executor.for_ranges(chunks.size(), 4, [&](std::size_t begin, std::size_t end) {
-      for (; begin < end; ++begin) map_.landmarks_.mutate(chunks[begin] * kChunk);
+    executor.for_ranges(chunks.size(), 2, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin) map.landmarks_.mutate(chunks[begin] * kChunk);
+    });
+  }
+
+  /// The same for the lists of the keyframes that see what is joined.
+  void unshare_keyframes(const Executor& executor) {
+    std::vector<KeypointLandmarks*> lists;
+    for (const KeyframeId id : changes_.rewritten())
+      lists.push_back(&map_.keyframes_.mutate(id.value()).landmarks);
+    executor.for_ranges(lists.size(), 4, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin) lists[begin]->unshare();
     });
   }
 
@@ -159,12 +173,10 @@ class LandmarkFusion {
     std::sort(touched_.begin(), touched_.end());
     touched_.erase(std::unique(touched_.begin(), touched_.end()), touched_.end());
     std::erase_if(touched_, [&](LandmarkId id) { return !map_.contains(id); });
-    std::vector<Map::Appearance> appearances(touched_.size());
+    // Nobody shares these landmarks any more, and the looks of one do not depend on another's.
     executor.for_ranges(touched_.size(), kGrain, [&](std::size_t begin, std::size_t end) {
-      for (; begin < end; ++begin) appearances[begin] = map_.appearance_of(touched_[begin], false);
+      for (; begin < end; ++begin) map_.refresh_landmark(touched_[begin]);
     });
-    for (std::size_t i = 0; i < touched_.size(); ++i)
-      map_.set_appearance(touched_[i], appearances[i]);
   }
 
   void change_covisibility() {
@@ -216,11 +228,12 @@ Map::FusionOutcome Map::fuse_landmarks(const Executor& executor,
   if (executor.kind() == Executor::Kind::kReference)
     return fuse_landmarks_reference(merges, observations);
   const Stopwatch watch;
+  LandmarkFusion::unshare_landmarks(*this, executor, merges, observations);
   SharedChanges changes(*this, merges, observations);
   if (!changes.fits()) return fuse_landmarks_reference(merges, observations);
   FusionOutcome outcome;
   LandmarkFusion fusion(*this, changes);
-  fusion.unshare(executor, merges, observations);
+  fusion.unshare_keyframes(executor);
   for (const LandmarkMerge& m : merges)
     outcome.merged += fusion.merge(resolve(m.loser), resolve(m.winner));
   for (const NewObservation& o : observations)

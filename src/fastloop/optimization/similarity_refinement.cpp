@@ -81,35 +81,49 @@ void complete(Terms& t) {
     for (int col = 0; col < row; ++col) t.hessian(row, col) = t.hessian(col, row);
 }
 
-/// With analytic derivatives.
+/// With analytic derivatives. Sums over blocks of pairs, so that they are the same whoever forms them.
 class Problem : public Pairs {
  public:
   static constexpr double kNoStep = 1e-9;  ///< a step this small ends the search
 
   Problem(const Camera& camera, std::span<const SimilarityPair> pairs,
-          const SimilarityOptions& options)
-      : Pairs(camera, pairs, options) {
+          const SimilarityOptions& options, const Executor& executor)
+      : Pairs(camera, pairs, options),
+        executor_(executor),
+        blocks_((pairs.size() + kBlock - 1) / kBlock) {
     R_view_.reserve(pairs.size());
     for (const SimilarityPair& p : pairs) R_view_.push_back(p.T_view_second.rotation.toRotationMatrix());
   }
 
-  Terms linearise(const Sim3& s, bool robust) const {
-    Terms t;
+  Terms linearise(const Sim3& s, bool robust) {
     const Sim3 inverse = s.inverse();
     const Matrix3d there = s.scale * s.rotation.toRotationMatrix();
     const Matrix3d back = inverse.scale * inverse.rotation.toRotationMatrix();
-    for (std::size_t i = 0; i < pairs_.size(); ++i) {
-      if (!active_[i]) continue;
-      const SimilarityPair& p = pairs_[i];
-      const Vector3d p_first = there * p.p_second + s.translation;
-      add(t, p_first, p_first, Matrix3d::Identity(), p.pixel_first, p.inv_sigma2_first, robust);
-      // S^-1 exp(-d) p moves by -S^-1's linear part times the perturbation of p.
-      const Vector3d p_view =
-          R_view_[i] * (back * p.p_first + inverse.translation) + p.T_view_second.translation;
-      add(t, p_view, p.p_first, -(R_view_[i] * back), p.pixel_view, p.inv_sigma2_view, robust);
+    executor_.for_ranges(blocks_.size(), 1, [&](std::size_t begin, std::size_t end) {
+      for (; begin < end; ++begin) {
+        Terms t;
+        const std::size_t last = std::min((begin + 1) * kBlock, pairs_.size());
+        for (std::size_t i = begin * kBlock; i < last; ++i) {
+          if (!active_[i]) continue;
+          const SimilarityPair& p = pairs_[i];
+          const Vector3d p_first = there * p.p_second + s.translation;
+          add(t, p_first, p_first, Matrix3d::Identity(), p.pixel_first, p.inv_sigma2_first, robust);
+          // S^-1 exp(-d) p moves by -S^-1's linear part times the perturbation of p.
+          const Vector3d p_view =
+              R_view_[i] * (back * p.p_first + inverse.translation) + p.T_view_second.translation;
+          add(t, p_view, p.p_first, -(R_view_[i] * back), p.pixel_view, p.inv_sigma2_view, robust);
+        }
+        blocks_[begin] = t;
+      }
+    });
+    Terms sum;
+    for (const Terms& t : blocks_) {
+      sum.hessian += t.hessian;
+      sum.gradient += t.gradient;
+      sum.cost += t.cost;
     }
-    complete(t);
-    return t;
+    complete(sum);
+    return sum;
   }
 
  private:
@@ -133,7 +147,11 @@ class Problem : public Pairs {
     }
   }
 
+  static constexpr std::size_t kBlock = 32;  ///< pairs
+
+  const Executor& executor_;
   std::vector<Matrix3d> R_view_;  ///< [pairs] of T_view_second
+  std::vector<Terms> blocks_;
 };
 
 /// As published: with central differences, every reprojection anew for each of them, and always as
@@ -193,7 +211,7 @@ class NumericProblem : public Pairs {
 };
 
 template <class AnyProblem>
-void minimise(const AnyProblem& problem, Sim3& s, int iterations, bool robust, bool fixed_scale) {
+void minimise(AnyProblem& problem, Sim3& s, int iterations, bool robust, bool fixed_scale) {
   double lambda = 1e-6;
   Terms now = problem.linearise(s, robust);
   for (int i = 0; i < iterations; ++i) {
@@ -228,12 +246,11 @@ void minimise(const AnyProblem& problem, Sim3& s, int iterations, bool robust, b
 }
 
 template <class AnyProblem>
-SimilarityResult refine(const Camera& camera, const Sim3& initial,
+SimilarityResult refine(AnyProblem problem, const Sim3& initial,
                         std::span<const SimilarityPair> pairs, const SimilarityOptions& options) {
   SimilarityResult result;
   result.S_first_second = initial;
   result.inlier.assign(pairs.size(), 0);
-  AnyProblem problem(camera, pairs, options);
   Sim3 s = initial;
   if (static_cast<int>(pairs.size()) < options.min_pairs || !s.is_finite()) return result;
   minimise(problem, s, options.iterations, true, options.fixed_scale);
@@ -256,15 +273,15 @@ SimilarityResult refine(const Camera& camera, const Sim3& initial,
 
 SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_first_second,
                                    std::span<const SimilarityPair> pairs,
-                                   const SimilarityOptions& options) {
-  return refine<Problem>(camera, initial_S_first_second, pairs, options);
+                                   const SimilarityOptions& options, const Executor& executor) {
+  return refine(Problem(camera, pairs, options, executor), initial_S_first_second, pairs, options);
 }
 
 SimilarityResult refine_similarity_reference(const Camera& camera,
                                              const Sim3& initial_S_first_second,
                                              std::span<const SimilarityPair> pairs,
                                              const SimilarityOptions& options) {
-  return refine<NumericProblem>(camera, initial_S_first_second, pairs, options);
+  return refine(NumericProblem(camera, pairs, options), initial_S_first_second, pairs, options);
 }
 
 }  // namespace fastloop::optimization

@@ -4,6 +4,7 @@
 #include <span>
 #include <vector>
 
+#include "fastloop/compute/executor.hpp"
 #include "fastloop/geometry/camera.hpp"
 #include "fastloop/geometry/sim3.hpp"
 
@@ -38,9 +39,11 @@ struct SimilarityResult {
 /// partner. Levenberg-Marquardt on 7 (6 with fixed scale) unknowns with analytic derivatives and
 /// Huber kernel; pairs beyond the gate are dropped, then it is repeated without kernel.
 /// Deterministic, reentrant. Points behind a camera count as outliers.
+/// @param executor  passes take some microseconds each; the result does not depend on it
 SimilarityResult refine_similarity(const Camera& camera, const Sim3& initial_S_first_second,
                                    std::span<const SimilarityPair> pairs,
-                                   const SimilarityOptions& options = {});
+                                   const SimilarityOptions& options = {},
+                                   const Executor& executor = Executor::reference());
 
 /// The same as published: derivatives by central differences. Its oracle and its baseline.
 SimilarityResult refine_similarity_reference(const Camera& camera,

@@ -29,7 +29,19 @@ void InvertedIndex::insert(KeyframeId keyframe, const BowVector& bow) {
   }
   entries_[slot] = {keyframe, bow.word};
   slot_.emplace(keyframe, slot);
-  for (std::size_t i = 0; i < bow.size(); ++i) append(bow.word[i], {slot, bow.weight[i]});
+  for (std::size_t i = 0; i < bow.size(); ++i) {
+    ask_ahead(bow, i);
+    append(bow.word[i], {slot, bow.weight[i]});
+  }
+}
+
+/// Neither the lists nor what they name are in the caches when a keyframe comes.
+void InvertedIndex::ask_ahead(const BowVector& bow, std::size_t i) const {
+  if (i + 2 * kAhead < bow.size()) __builtin_prefetch(&lists_[bow.word[i + 2 * kAhead]]);
+  if (i + kAhead >= bow.size()) return;
+  const List& list = lists_[bow.word[i + kAhead]];
+  __builtin_prefetch(pool_.data() + list.begin);
+  __builtin_prefetch(pool_.data() + list.begin + list.size);
 }
 
 void InvertedIndex::append(std::uint32_t word, Posting posting) {
@@ -83,10 +95,7 @@ InvertedIndex::Tally InvertedIndex::tally(const BowVector& bow,
     if (word >= lists_.size()) throw InvalidArgument("InvertedIndex: word out of range");
   // Query words ascend, so every score is summed in the order of l1_score.
   for (std::size_t i = 0; i < bow.size(); ++i) {
-    // Neither the lists nor what they name are in the caches: both are asked for ahead.
-    if (i + 2 * kAhead < bow.size()) __builtin_prefetch(&lists_[bow.word[i + 2 * kAhead]]);
-    if (i + kAhead < bow.size())
-      __builtin_prefetch(pool_.data() + lists_[bow.word[i + kAhead]].begin);
+    ask_ahead(bow, i);
     const List& list = lists_[bow.word[i]];
     for (std::uint32_t p = list.begin; p < list.begin + list.size; ++p) {
       ++t.shared[pool_[p].slot];

@@ -75,6 +75,7 @@ class InvertedIndex {
     std::vector<float> score;
   };
 
+  void ask_ahead(const BowVector& bow, std::size_t i) const;
   void append(std::uint32_t word, Posting posting);
   void pack();
   Tally tally(const BowVector& bow, std::span<const KeyframeId> excluded) const;

@@ -64,6 +64,15 @@ FeatureGroups group_keypoints(const std::vector<std::uint64_t>& sorted) {
   return groups;
 }
 
+/// The lower levels of a tree are larger than the caches: the children of all are on their way before
+/// the first are compared.
+void ask_ahead(const VocabularyTree& tree, std::span<const DescriptorRun> children) {
+  constexpr std::uint32_t kDescriptorsOfALine = 64 / sizeof(Descriptor);
+  for (const DescriptorRun& run : children)
+    for (std::uint32_t n = run.begin; n < run.end; n += kDescriptorsOfALine)
+      __builtin_prefetch(&tree.descriptor[n]);
+}
+
 }  // namespace
 
 Vocabulary::Vocabulary(VocabularyTree tree) : tree_(std::move(tree)) {
@@ -93,6 +102,7 @@ void Vocabulary::descend(std::span<const Descriptor> descriptors, bool reference
         inside |= children[i].begin < children[i].end;
       }
       if (!inside) break;
+      if (!reference) ask_ahead(tree_, std::span(children).first(some.size()));
       const std::span<const DescriptorRun> runs(children.data(), some.size());
       reference ? reference::nearest_in_runs(some, tree_.descriptor.data(), runs, node)
                 : nearest_in_runs(some, tree_.descriptor.data(), runs, node);
@@ -111,36 +121,52 @@ BagOfWords Vocabulary::transform(std::span<const Descriptor> descriptors,
                                  const Executor& executor) const {
   require(descriptors.size() <= 0xffff, "at most 65,535 descriptors");
   const bool reference = executor.kind() == Executor::Kind::kReference;
-  std::vector<std::uint32_t> leaf(descriptors.size()), group(descriptors.size());
-  executor.for_ranges(descriptors.size(), 128, [&](std::size_t begin, std::size_t end) {
+  std::vector<std::uint32_t> leaf(descriptors.size()), group_node(descriptors.size());
+  executor.for_ranges(descriptors.size(), 64, [&](std::size_t begin, std::size_t end) {
     descend(descriptors.subspan(begin, end - begin), reference, leaf.data() + begin,
-            group.data() + begin);
+            group_node.data() + begin);
   });
-  std::vector<std::uint64_t> words, grouped;  // grouped: group, then keypoint
-  words.reserve(descriptors.size());
-  grouped.reserve(descriptors.size());
-  for (std::size_t i = 0; i < descriptors.size(); ++i) {
-    const std::uint32_t word = word_of_node_[leaf[i]];
-    if (word_weight_[word] == 0) continue;
-    words.push_back(word);
-    grouped.push_back(std::uint64_t{group[i]} << 16 | i);
-  }
-  sort_by_bits(words, 0);
-  sort_by_bits(grouped, 16);
-
   BagOfWords bag;
-  bag.groups = group_keypoints(grouped);
+  executor.for_short_passes().for_ranges(2, 1, [&](std::size_t begin, std::size_t end) {
+    for (; begin < end; ++begin)
+      if (begin == 0)
+        bag.vector = weigh(leaf);
+      else
+        bag.groups = group(leaf, group_node);
+  });
+  return bag;
+}
+
+BowVector Vocabulary::weigh(std::span<const std::uint32_t> leaf) const {
+  std::vector<std::uint64_t> words;
+  words.reserve(leaf.size());
+  for (const std::uint32_t node : leaf)
+    if (const std::uint32_t word = word_of_node_[node]; word_weight_[word] != 0)
+      words.push_back(word);
+  sort_by_bits(words, 0);
+  BowVector vector;
   double sum = 0;
   for (std::size_t i = 0; i < words.size();) {
     const std::size_t begin = i;
     while (i < words.size() && words[i] == words[begin]) ++i;
     const float weight = static_cast<float>(i - begin) * word_weight_[words[begin]];
-    bag.vector.word.push_back(static_cast<std::uint32_t>(words[begin]));
-    bag.vector.weight.push_back(weight);
+    vector.word.push_back(static_cast<std::uint32_t>(words[begin]));
+    vector.weight.push_back(weight);
     sum += weight;
   }
-  for (float& w : bag.vector.weight) w = static_cast<float>(w / sum);
-  return bag;
+  for (float& w : vector.weight) w = static_cast<float>(w / sum);
+  return vector;
+}
+
+FeatureGroups Vocabulary::group(std::span<const std::uint32_t> leaf,
+                                std::span<const std::uint32_t> group_node) const {
+  std::vector<std::uint64_t> grouped;  // group, then keypoint
+  grouped.reserve(leaf.size());
+  for (std::size_t i = 0; i < leaf.size(); ++i)
+    if (word_weight_[word_of_node_[leaf[i]]] != 0)
+      grouped.push_back(std::uint64_t{group_node[i]} << 16 | i);
+  sort_by_bits(grouped, 16);
+  return group_keypoints(grouped);
 }
 
 float l1_score(const BowVector& a, const BowVector& b) {

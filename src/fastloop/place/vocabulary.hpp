@@ -57,6 +57,9 @@ class Vocabulary {
   /// Leaves, and nodes at kGroupLevel on the way (or above, where that is the leaf).
   void descend(std::span<const Descriptor> descriptors, bool reference, std::uint32_t* leaf,
                std::uint32_t* group_node) const;
+  BowVector weigh(std::span<const std::uint32_t> leaf) const;
+  FeatureGroups group(std::span<const std::uint32_t> leaf,
+                      std::span<const std::uint32_t> group_node) const;
 
   VocabularyTree tree_;
   std::vector<std::uint32_t> word_of_node_;  ///< [nodes] of leaves, in node order
