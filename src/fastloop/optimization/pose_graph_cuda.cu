@@ -9,7 +9,9 @@ namespace fastloop::optimization::device {
 namespace {
 
 /// Shared memory of a block of the substitutions: vectors and, where it fits, the front's factor.
-constexpr std::size_t kSolveDoubles = 8192;
+
+/// Shared memory of a block of the substitutions: vectors and, where it fits, the front's factor.
+constexpr std::size_t kSolveDoubles = 8192, kSolveDoublesOfFew = 13312;
 
 /// Arrays laid out one after the other, so that one copy takes them all.
 class Packer {
@@ -199,8 +201,11 @@ template <EdgeModel M>
 void CudaExecutor::configure(const Schedule& s) {
   factor_bytes_ = s.factor_shared_doubles * sizeof(double);
   const std::size_t vectors = s.solve_rows + 2;
+  // Room for a whole panel pays where all fronts run at once, more blocks at a time where not.
+  const bool few = s.fronts.size() <= 2 * static_cast<std::size_t>(cuda_.multiprocessors);
+  const std::size_t room = few ? kSolveDoublesOfFew : kSolveDoubles;
   solve_bytes_ =
-      std::max(vectors, std::min(vectors + s.solve_panel_doubles, kSolveDoubles)) * sizeof(double);
+      std::max(vectors, std::min(vectors + s.solve_panel_doubles, room)) * sizeof(double);
   if (solve_bytes_ > static_cast<std::size_t>(cuda_.shared_bytes_per_block))
     throw CudaError(cudaErrorInvalidConfiguration, "a front is too large for this device");
   factor_grid_ = grid_of(factor_kernel<M>, kFactorThreads, factor_bytes_, s.tasks.size());

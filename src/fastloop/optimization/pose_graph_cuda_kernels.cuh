@@ -19,6 +19,7 @@ struct BlockTeam {
   __device__ int warp() const { return static_cast<int>(threadIdx.x) / 32; }
   __device__ int warps() const { return static_cast<int>(blockDim.x) / 32; }
   __device__ void sync() const { __syncthreads(); }
+  __device__ void sync_warp() const { __syncwarp(); }
   __device__ double sum(double value) const {
     for (int offset = 16; offset > 0; offset /= 2)
       value += __shfl_xor_sync(0xffffffffu, value, offset);
@@ -26,6 +27,12 @@ struct BlockTeam {
   }
   /// Of memory that another block wrote in this launch: past the first cache, which may be stale.
   __device__ double load(const double* p) const { return __ldcg(p); }
+  /// Into shared memory; there after finish_copies() of the same thread.
+  __device__ void copy(double* to, const double* from) const {
+    const auto address = static_cast<std::uint32_t>(__cvta_generic_to_shared(to));
+    asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" ::"r"(address), "l"(from) : "memory");
+  }
+  __device__ void finish_copies() const { asm volatile("cp.async.wait_all;" ::: "memory"); }
   __device__ void wait(const std::int32_t* counter, int value) const {
     int seen;
     do {
@@ -35,16 +42,42 @@ struct BlockTeam {
   __device__ void signal(std::int32_t* counter) const {
     __syncthreads();
     if (threadIdx.x == 0) {
-      __threadfence();
       asm volatile("red.release.gpu.global.add.s32 [%0], 1;" ::"l"(counter) : "memory");
     }
   }
   __device__ void publish(std::int32_t* flag, int value) const {
     __syncthreads();
     if (threadIdx.x == 0) {
-      __threadfence();
       asm volatile("st.release.gpu.global.s32 [%0], %1;" ::"l"(flag), "r"(value) : "memory");
     }
+  }
+
+  /// The calling warp: x <- T^-1 x. T is lower triangular with inverted diagonal, column-major;
+  /// width <= kStrip. A lane holds a row of T, divided by its diagonal.
+  __device__ void solve_lower(const double* t, int stride, int width, double* x) const {
+    const int r = lane();
+    const double inverse = r < width ? t[static_cast<long long>(r) * stride + r] : 0.0;
+    double row[kStrip], value = r < width ? x[r] * inverse : 0.0;
+#pragma unroll
+    for (int c = 0; c < kStrip; ++c)
+      row[c] = c < r && r < width ? t[static_cast<long long>(c) * stride + r] * inverse : 0.0;
+#pragma unroll
+    for (int c = 0; c < kStrip - 1; ++c)
+      if (c < width - 1) value -= row[c] * __shfl_sync(0xffffffffu, value, c);
+    if (r < width) x[r] = value;
+  }
+  /// x <- T^-T x.
+  __device__ void solve_upper(const double* t, int stride, int width, double* x) const {
+    const int c = lane();
+    const double* own = t + static_cast<long long>(c) * stride;
+    const double inverse = c < width ? own[c] : 0.0;
+    double column[kStrip], value = c < width ? x[c] * inverse : 0.0;
+#pragma unroll
+    for (int r = 0; r < kStrip; ++r) column[r] = c < r && r < width ? own[r] * inverse : 0.0;
+#pragma unroll
+    for (int r = kStrip - 1; r > 0; --r)
+      if (r < width) value -= column[r] * __shfl_sync(0xffffffffu, value, r);
+    if (c < width) x[c] = value;
   }
 
   /// Product of tiles in registers, 4 x 4 numbers a thread: takes 256 threads.
@@ -54,19 +87,7 @@ struct BlockTeam {
     __device__ explicit TileSum(const BlockTeam& team)
         : acc{}, tile(team.lane(), 32 * (team.warp() % 2), 16 * (team.warp() / 2)) {}
     __device__ void add_product(const Square& x, const Square& y, const Square&) {
-#pragma unroll 4
-      for (int k = 0; k < kTileDepth; ++k) {
-        double a[4], b[4];
-        const double *row = x.column(k), *column = y.column(k);
-        load_pair(row + tile.row[0], a[0], a[1]);
-        load_pair(row + tile.row[2], a[2], a[3]);
-        load_pair(column + tile.column[0], b[0], b[1]);
-        load_pair(column + tile.column[2], b[2], b[3]);
-#pragma unroll
-        for (int c = 0; c < 4; ++c)
-#pragma unroll
-          for (int r = 0; r < 4; ++r) acc[c][r] += a[r] * b[c];
-      }
+      multiply_tile(x, kTileRows, y, kTileRows, 0, kTileDepth, tile, acc);
     }
     __device__ void subtract_from(const Square& c) const {
 #pragma unroll
@@ -131,7 +152,7 @@ template <EdgeModel M>
 __global__ void __launch_bounds__(kChunk)
     linearize_kernel(const View v, const double* poses, double* normal, volatile StepResult* result,
                      int sequence) {
-  __shared__ double shared[kChunk / 32];
+  __shared__ double shared[kChunk / 32 + kChunk * Model<M>::kStride];
   __shared__ bool last;
   const BlockTeam team;
   if (v.num_slots > 0)

@@ -53,6 +53,11 @@ int leaf_size(int block_size) {
   return block_size == 4 ? 16 : 12;
 }
 
+/// Blocks of a leaf's front: two such fronts fit into the shared memory of a multiprocessor.
+int max_front(int block_size) {
+  return 161 / block_size;
+}
+
 double damping_scale(const PoseGraphProblem& problem) {
   const int size = residual_size(problem.kind);
   double largest = 0;
@@ -256,7 +261,7 @@ void Solver::analyse(const block::Graph& graph, const std::vector<int>& old_node
     return;
   }
   watch.restart();
-  dissection_ = dissect(graph, leaf_size(block_size));
+  dissection_ = dissect(graph, leaf_size(block_size), max_front(block_size));
   result.times.ordering_ms += watch.elapsed_ms();
   build(dissection_);
   work_per_vertex_ = schedule_.multiply_adds / std::max(1, n);

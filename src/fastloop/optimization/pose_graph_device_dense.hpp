@@ -3,8 +3,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "fastloop/optimization/pose_graph_device_math.hpp"
-#include "fastloop/optimization/pose_graph_device_types.hpp"
+#include "fastloop/optimization/pose_graph_device_product.hpp"
 
 /// Dense kernels of a team of threads: a block of the device, or the one thread of the host's
 /// executor. A team has rank(), size(), sync(), and within it warps with lane(), lanes(), warp(),
@@ -56,10 +55,40 @@ FASTLOOP_HD inline double inverse_root(double x) {
 #endif
 }
 
-/// Cholesky of the block of `width` columns at `first`, kept in registers, with inverted diagonal;
-/// columns beyond the width are those of the identity. False: not positive definite.
+/// Cholesky of a triangle in registers, with inverted diagonal; columns beyond its width are those
+/// of the identity. Two pivots at a time: the root of the second needs the determinant of both
+/// only, so that both are on their way at once. False: not positive definite.
+FASTLOOP_HD inline bool factor_triangle(Triangle& t) {
+  bool ok = true;
+  FASTLOOP_UNROLL
+  for (int c = 0; c < kPanel; c += 2) {
+    const double p = t.l[c][c], q = t.l[c + 1][c];
+    const double determinant = p * t.l[c + 1][c + 1] - q * q;
+    ok = ok && p > 1e-300 && p < 1e300 && determinant > 1e-300 && determinant < 1e300;
+    const double first = inverse_root(p), root = inverse_root(determinant);
+    const double below = q * first, second = p * first * root, back = -below * second;
+    t.l[c][c] = first;
+    t.l[c + 1][c] = below;
+    t.l[c + 1][c + 1] = second;
+    FASTLOOP_UNROLL
+    for (int r = c + 2; r < kPanel; ++r) {
+      const double x = t.l[r][c] * first;
+      t.l[r][c + 1] = t.l[r][c + 1] * second + x * back;
+      t.l[r][c] = x;
+    }
+    FASTLOOP_UNROLL
+    for (int o = c + 2; o < kPanel; ++o) {
+      FASTLOOP_UNROLL
+      for (int r = o; r < kPanel; ++r)
+        t.l[r][o] = (t.l[r][o] - t.l[r][c] * t.l[o][c]) - t.l[r][c + 1] * t.l[o][c + 1];
+    }
+  }
+  return ok;
+}
+
+/// The triangle of the block of `width` columns at `first`.
 template <class Matrix>
-FASTLOOP_HD inline bool factor_diagonal(const Matrix& a, int first, int width, Triangle& t) {
+FASTLOOP_HD inline void load_block(const Matrix& a, int first, int width, Triangle& t) {
   const double* column = a.column(first) + first;
   const int stride = a.stride(first);
   FASTLOOP_UNROLL
@@ -67,19 +96,38 @@ FASTLOOP_HD inline bool factor_diagonal(const Matrix& a, int first, int width, T
     FASTLOOP_UNROLL
     for (int r = c; r < kPanel; ++r) t.l[r][c] = r < width ? column[c * stride + r] : r == c;
   }
-  bool ok = true;
-  FASTLOOP_UNROLL
-  for (int c = 0; c < kPanel; ++c) {
-    const double pivot = t.l[c][c];
-    ok = ok && pivot > 1e-300 && pivot < 1e300;
-    const double inverse = inverse_root(pivot);
-    t.l[c][c] = inverse;
-    FASTLOOP_UNROLL
-    for (int r = c + 1; r < kPanel; ++r) t.l[r][c] *= inverse;
-    FASTLOOP_UNROLL
-    for (int o = c + 1; o < kPanel; ++o) {
+}
+
+/// One warp: subtracts columns [from, first) of the rows of a block on the diagonal and factors it
+/// in place.
+template <class Team, class Matrix>
+FASTLOOP_HD inline bool factor_block(const Team& team, const Matrix& a, int from, int first,
+                                     int width) {
+  double* block = a.column(first) + first;
+  const int stride = a.stride(first);
+  if (from < first) {
+    const double* left = a.column(from) + first;
+    const int left_stride = a.stride(from);  // one group of columns
+    for (int k = team.lane(); k < kPanel * kPanel; k += team.lanes()) {
+      const int r = k % kPanel, c = k / kPanel;
+      if (r < c || r >= width) continue;
+      double sum = 0;
       FASTLOOP_UNROLL
-      for (int r = o; r < kPanel; ++r) t.l[r][o] -= t.l[r][c] * t.l[o][c];
+      for (int i = 0; i < kPanel; ++i) sum += left[i * left_stride + r] * left[i * left_stride + c];
+      block[c * stride + r] -= sum;
+    }
+    team.sync_warp();
+  }
+  Triangle t;
+  load_block(a, first, width, t);
+  const bool ok = factor_triangle(t);
+  team.sync_warp();
+  if (team.lane() == 0) {
+    FASTLOOP_UNROLL
+    for (int c = 0; c < kPanel; ++c) {
+      FASTLOOP_UNROLL
+      for (int r = c; r < kPanel; ++r)
+        if (r < width) block[c * stride + r] = t.l[r][c];
     }
   }
   return ok;
@@ -104,118 +152,49 @@ FASTLOOP_HD inline void solve_row(const Matrix& a, int first, int width, int r, 
     if (c < width) column[c * stride] = x[c];
 }
 
-/// The 4 x 4 entries that a lane computes of a unit of 32 rows and 16 columns; pairs of rows lie
-/// next to each other, so that they are loaded together and lanes meet no bank conflict.
-struct LaneTile {
-  int row[4], column[4];
-  FASTLOOP_HD LaneTile(int lane, int row0, int column0) {
-    const int x = lane % 8, y = lane / 8;
-    for (int k = 0; k < 4; ++k) {
-      row[k] = row0 + 2 * x + (k & 1) + 16 * (k / 2);
-      column[k] = column0 + 2 * y + (k & 1) + 8 * (k / 2);
-    }
-  }
-};
-
-FASTLOOP_HD inline void load_pair(const double* p, double& a, double& b) {
-#if defined(__CUDA_ARCH__)
-  const double2 v = *reinterpret_cast<const double2*>(p);
-  a = v.x;
-  b = v.y;
-#else
-  a = p[0];
-  b = p[1];
-#endif
-}
-
-/// acc = sum over columns [begin, end) of (rows of the tile in `x`) x (columns of the tile as rows
-/// of `y`). Rows of `x` end at x_rows, those of `y` at y_rows.
-template <class Matrix>
-FASTLOOP_HD inline void multiply_tile(const Matrix& x, int x_rows, const Matrix& y, int y_rows,
-                                      int begin, int end, const LaneTile& tile,
-                                      double (&acc)[4][4]) {
-  // Rows beyond the end are read at the last pair of rows; their products are dropped.
-  const int last_x = (x_rows - 1) / 2 * 2, last_y = (y_rows - 1) / 2 * 2;
-  const int r0 = tile.row[0] < last_x ? tile.row[0] : last_x;
-  const int r1 = tile.row[2] < last_x ? tile.row[2] : last_x;
-  const int c0 = tile.column[0] < last_y ? tile.column[0] : last_y;
-  const int c1 = tile.column[2] < last_y ? tile.column[2] : last_y;
-  for (int group = begin; group < end;) {
-    const int next = (group / kPanel + 1) * kPanel, stop = next < end ? next : end;
-    const double *row = x.column(group), *column = y.column(group);
-    const int x_stride = x.stride(group), y_stride = y.stride(group);
-    FASTLOOP_UNROLL
-    for (int k = group; k < stop; ++k, row += x_stride, column += y_stride) {
-      double a[4], b[4];
-      load_pair(row + r0, a[0], a[1]);
-      load_pair(row + r1, a[2], a[3]);
-      load_pair(column + c0, b[0], b[1]);
-      load_pair(column + c1, b[2], b[3]);
-      FASTLOOP_UNROLL
-      for (int c = 0; c < 4; ++c) {
-        FASTLOOP_UNROLL
-        for (int r = 0; r < 4; ++r) acc[c][r] += a[r] * b[c];
-      }
-    }
-    group = stop;
-  }
-}
-
-/// Calls f(lane tile) for all tiles of the lower triangle from `first` (even) on: columns up to
-/// `columns`, rows up to `rows`.
-template <class Team, class F>
-FASTLOOP_HD inline void for_lane_tiles(const Team& team, int first, int columns, int rows, F f) {
-  const int column_units = (columns - first + 15) / 16, row_units = (rows - first + 31) / 32;
-  for (int unit = team.warp(); unit < column_units * row_units; unit += team.warps()) {
-    const int cu = unit / row_units, ru = unit - cu * row_units;
-    if (32 * ru + 31 < 16 * cu) continue;  // above the diagonal
-    for (int lane = team.lane(); lane < 32; lane += team.lanes())
-      f(LaneTile(lane, first + 32 * ru, first + 16 * cu));
-  }
-}
-
 /// Eliminates columns [0, pivots) of `a` (rows [0, rows), even stride), right-looking over the
-/// pivot columns only. False: not positive definite; then `a` holds nothing of use.
+/// pivot columns only. While the other warps update what lies to the right of a panel, the first
+/// one updates and factors the next block on the diagonal. False, for rank 0: not positive
+/// definite; then `a` holds nothing of use.
 template <class Team, class Matrix>
 FASTLOOP_HD inline bool factor_columns(const Team& team, const Matrix& a, int pivots, int rows) {
+  const auto width_at = [&](int j) { return pivots - j < kPanel ? pivots - j : kPanel; };
   bool ok = true;
+  if (team.warp() == 0) ok = factor_block(team, a, 0, 0, width_at(0));
+  team.sync();
   for (int j = 0; j < pivots; j += kPanel) {
-    const int width = pivots - j < kPanel ? pivots - j : kPanel;
-    const int below = j + width;
-    Triangle t;
-    // Every thread that has a row factors the block for itself: cheaper than a barrier.
-    const bool writer = team.rank() == team.size() - 1;  // seldom has a row
-    const bool at_work = below + team.rank() < rows || writer || team.rank() == 0;
-    if (at_work) {
-      ok = factor_diagonal(a, j, width, t) && ok;
+    const int width = width_at(j), below = j + width;
+    if (below + team.rank() < rows) {
+      Triangle t;
+      load_block(a, j, width, t);
       for (int r = below + team.rank(); r < rows; r += team.size()) solve_row(a, j, width, r, t);
     }
     team.sync();
-    if (writer) {
-      double* column = a.column(j) + j;
-      const int stride = a.stride(j);
+    if (below >= pivots) break;
+    const int next = below + width_at(below);
+    if (team.warp() == 0) ok = factor_block(team, a, j, below, next - below) && ok;
+    for_lane_tiles(team, below, pivots, rows, team.warps() > 1, [&](const LaneTile& tile) {
+      // All entries are read before any is written: the compiler may not reorder them itself.
+      double acc[4][4];
+      double* column[4];
+      int top[4];
       FASTLOOP_UNROLL
-      for (int c = 0; c < kPanel; ++c) {
+      for (int c = 0; c < 4; ++c) {
+        const int at = tile.column[c];
+        column[c] = a.column(at < pivots ? at : below);
+        top[c] = at < next ? next : at < pivots ? at : rows;
         FASTLOOP_UNROLL
-        for (int r = c; r < kPanel; ++r)
-          if (r < width) column[c * stride + r] = t.l[r][c];
+        for (int r = 0; r < 4; ++r)
+          acc[c][r] = tile.row[r] >= top[c] && tile.row[r] < rows ? -column[c][tile.row[r]] : 0.0;
       }
-    }
-    if (below < pivots) {
-      for_lane_tiles(team, below, pivots, rows, [&](const LaneTile& tile) {
-        double acc[4][4] = {};
-        multiply_tile(a, rows, a, rows, j, below, tile, acc);
+      multiply_tile(a, rows, a, rows, j, below, tile, acc);
+      FASTLOOP_UNROLL
+      for (int c = 0; c < 4; ++c) {
         FASTLOOP_UNROLL
-        for (int c = 0; c < 4; ++c) {
-          if (tile.column[c] >= pivots) continue;
-          double* column = a.column(tile.column[c]);
-          FASTLOOP_UNROLL
-          for (int r = 0; r < 4; ++r)
-            if (tile.row[r] < rows && tile.row[r] >= tile.column[c])
-              column[tile.row[r]] -= acc[c][r];
-        }
-      });
-    }
+        for (int r = 0; r < 4; ++r)
+          if (tile.row[r] >= top[c] && tile.row[r] < rows) column[c][tile.row[r]] = -acc[c][r];
+      }
+    });
     team.sync();
   }
   return ok;

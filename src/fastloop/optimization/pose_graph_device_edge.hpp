@@ -28,15 +28,17 @@ FASTLOOP_HD inline void sim3_blocks(const Linearization& e, const Mat3& k11, Mat
   Vec3 v = rho, j23 = 0.5 * rho;
   double coefficient = -0.5;
   const double size = sqrt(dot(rho, rho));
+  const double rate = sqrt(theta_sq) + fabs(sigma);
   double reach = size;
   for (int k = 2; k < 80; ++k) {
     q = q * w;
     m = Mat3{cross(phi, m.c0), cross(phi, m.c1), cross(phi, m.c2)} + sigma * m + q;
     v = cross(phi, v) + sigma * v;
-    coefficient /= -(k + 1);
+    const double over = 1.0 / (k + 1);
+    coefficient *= -over;
     j21 = j21 + coefficient * m;
     j23 = j23 + (-coefficient) * v;
-    reach *= (sqrt(theta_sq) + fabs(sigma)) / (k + 1);
+    reach *= rate * over;
     if (reach * k <= 1e-18 * size) break;
   }
   MatrixFunction f = inverse(exp_integral(theta_sq, -sigma), theta_sq);

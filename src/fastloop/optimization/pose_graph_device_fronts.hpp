@@ -1,6 +1,6 @@
 #pragma once
 
-#include "fastloop/optimization/pose_graph_device_dense.hpp"
+#include "fastloop/optimization/pose_graph_device_children.hpp"
 #include "fastloop/optimization/pose_graph_device_edge.hpp"
 #include "fastloop/optimization/pose_graph_device_vertex.hpp"
 
@@ -15,11 +15,11 @@ FASTLOOP_HD inline int even(int n) {
   return (n + 1) / 2 * 2;
 }
 
-/// Doubles of shared memory that a front needs as one task: the matrix, and the rows of two
-/// children.
+/// Doubles of shared memory that a front needs as one task: the matrix, and where two children's
+/// rows and columns lie in it.
 FASTLOOP_HD inline long long whole_front_doubles(const Front& f, int block_size) {
   const int rows = even(front_rows(f, block_size));
-  return Trapezoid::doubles(rows, rows) + rows;
+  return Trapezoid::doubles(rows, rows) + 2 * rows;
 }
 /// The same for tiles.
 inline constexpr int kTileStride = kTileRows + 2;
@@ -32,10 +32,19 @@ template <EdgeModel M>
 FASTLOOP_HD inline double vertex_sum(const View& v, int vertex, int entry) {
   double sum = 0;
   const int end = v.edges_begin[vertex + 1];
-  for (int k = v.edges_begin[vertex]; k < end; ++k) {
-    const int e = v.edges[k];
-    const double value = v.normal[static_cast<long long>(e >> 1) * Model<M>::kStride + entry];
-    sum += entry >= Model<M>::kHessian && (e & 1) ? -value : value;
+  constexpr int kLoads = 4;  // on their way at once
+  for (int k = v.edges_begin[vertex]; k < end; k += kLoads) {
+    int e[kLoads];
+    double value[kLoads];
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kLoads; ++i) e[i] = k + i < end ? v.edges[k + i] : -1;
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kLoads; ++i)
+      value[i] =
+          e[i] >= 0 ? v.normal[static_cast<long long>(e[i] >> 1) * Model<M>::kStride + entry] : 0.0;
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kLoads; ++i)
+      sum += entry >= Model<M>::kHessian && e[i] >= 0 && (e[i] & 1) ? -value[i] : value[i];
   }
   return sum;
 }
@@ -76,58 +85,32 @@ template <EdgeModel M, class Team, class Matrix>
 FASTLOOP_HD inline void add_pairs(const Team& team, const View& v, const Matrix& a, int begin,
                                   int end, int row0, int column0) {
   constexpr int kD = Model<M>::kTangent;
-  for (int item = team.rank(); item < (end - begin) * kD * kD; item += team.size()) {
-    const int k = item / (kD * kD), entry = item - k * (kD * kD), c = entry / kD, r = entry % kD;
-    const Pair p = v.pairs[begin + k];
-    double sum = 0;
-    for (int slot = p.begin; slot < p.end; ++slot)
-      sum += v.normal[static_cast<long long>(slot) * Model<M>::kStride + packed(r, c)];
-    a.column((p.column - column0) * kD + c)[(p.row - row0) * kD + r] -= sum;
-  }
-}
-
-/// Waits until all children have handed over their update matrices.
-template <class Team>
-FASTLOOP_HD inline void wait_for_children(const Team& team, const View& v, const Front& f) {
-  for (int c = team.rank(); c < f.num_children; c += team.size()) {
-    const int child = v.children[f.children + c];
-    team.wait(v.front_done + child, v.fronts[child].tasks * v.factor_epoch);
-  }
-  team.sync();
-}
-
-/// Rows of the front in which the rows of a child's update matrix lie.
-template <int D, class Team>
-FASTLOOP_HD inline void find_targets(const Team& team, const View& v, const Front& f,
-                                     const Front& child, std::int32_t* target) {
-  const int columns = child.below * D, rhs = (f.pivots + f.below) * D;
-  const std::int32_t* map = v.map + child.rows;
-  for (int r = team.rank(); r <= columns; r += team.size())
-    target[r] = r < columns ? map[r / D] * D + r % D : rhs;
-}
-
-/// Adds a child's update matrix.
-template <int D, class Team, class Matrix>
-FASTLOOP_HD inline void add_child(const Team& team, const View& v, const Front& child,
-                                  const Matrix& a, const std::int32_t* target) {
-  const int columns = child.below * D;
-  const double* schur = v.schur + child.schur;
-  constexpr int kColumns = 8;  // at a time, so that several loads are on their way
-  for (int c0 = team.warp() * kColumns; c0 < columns; c0 += team.warps() * kColumns) {
-    for (int r = c0 + team.lane(); r <= columns; r += team.lanes()) {
-      double value[kColumns];
-      FASTLOOP_UNROLL
-      for (int k = 0; k < kColumns; ++k)
-        value[k] = c0 + k <= r && c0 + k < columns
-                       ? team.load(schur + static_cast<long long>(c0 + k) * child.schur_stride + r)
-                       : 0.0;
-      const int to = target[r];
-      FASTLOOP_UNROLL
-      for (int k = 0; k < kColumns; ++k)
-        if (c0 + k <= r && c0 + k < columns) a.column(target[c0 + k])[to] += value[k];
+  constexpr int kItems = 4;  // whose loads are on their way at once
+  const int items = (end - begin) * kD * kD;
+  for (int first = team.rank(); first < items; first += kItems * team.size()) {
+    Pair p[kItems];
+    double sum[kItems];
+    int at[kItems], r[kItems], c[kItems];
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kItems; ++i) {
+      const int item = first + i * team.size(), k = item / (kD * kD), entry = item - k * (kD * kD);
+      c[i] = entry / kD;
+      r[i] = entry - c[i] * kD;
+      at[i] = packed(r[i], c[i]);
+      p[i] = item < items ? v.pairs[begin + k] : Pair{0, 0, 0, 0};
+    }
+    const auto value = [&](int i, int slot) {
+      return v.normal[static_cast<long long>(slot) * Model<M>::kStride + at[i]];
+    };
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kItems; ++i) sum[i] = p[i].begin < p[i].end ? value(i, p[i].begin) : 0.0;
+    FASTLOOP_UNROLL
+    for (int i = 0; i < kItems; ++i) {
+      for (int slot = p[i].begin + 1; slot < p[i].end; ++slot) sum[i] += value(i, slot);
+      if (p[i].begin < p[i].end)
+        a.column((p[i].column - column0) * kD + c[i])[(p[i].row - row0) * kD + r[i]] -= sum[i];
     }
   }
-  team.sync();
 }
 
 /// The part of the update matrix that the parent sees: C - L21 L21^T, straight to its place.
@@ -135,7 +118,7 @@ template <class Team>
 FASTLOOP_HD inline void write_update(const Team& team, const View& v, const Front& f,
                                      const Trapezoid& a, int pivots, int rows) {
   double* schur = v.schur + f.schur;
-  for_lane_tiles(team, pivots / 2 * 2, rows - 1, rows, [&](const LaneTile& tile) {
+  for_lane_tiles(team, pivots / 2 * 2, rows - 1, rows, false, [&](const LaneTile& tile) {
     double acc[4][4] = {};
     multiply_tile(a, rows, a, rows, 0, pivots, tile, acc);
     FASTLOOP_UNROLL
@@ -165,19 +148,26 @@ FASTLOOP_HD inline void factor_front(const Team& team, const View& v, int index,
   add_vertices<M>(team, v, f, a, 0, f.pivots, true, rows - 1);
   add_pairs<M>(team, v, a, f.pairs_begin, f.pairs_end, 0, 0);
   // Everything that does not need the children's numbers comes before the wait for them.
-  std::int32_t* target[2] = {reinterpret_cast<std::int32_t*>(shared + size),
-                             reinterpret_cast<std::int32_t*>(shared + size) + rows};
-  for (int c = 0; c < f.num_children && c < 2; ++c)
-    find_targets<kD>(team, v, f, v.fronts[v.children[f.children + c]], target[c]);
-  wait_for_children(team, v, f);
+  std::int32_t* room = reinterpret_cast<std::int32_t*>(shared + size);
+  const auto place = [&](int c) {
+    return ChildPlace{room + (c & 1) * 2 * padded, room + ((c & 1) * 2 + 1) * padded};
+  };
+  const auto find = [&](int c) {
+    find_place<kD>(team, v, f, v.fronts[v.children[f.children + c]], a, place(c));
+  };
+  const Child first = f.num_children > 0 ? child_of<kD>(v, f, 0) : Child{};
+  const Child second = f.num_children > 1 ? child_of<kD>(v, f, 1) : Child{};
+  if (f.num_children > 0) find(0);
+  if (f.num_children > 1) find(1);
+  // The child that is ready last stands last: the others are added meanwhile.
   for (int c = 0; c < f.num_children; ++c) {
-    const Front child = v.fronts[v.children[f.children + c]];
-    if (c >= 2) {
-      find_targets<kD>(team, v, f, child, target[c % 2]);
-      team.sync();
-    }
-    add_child<kD>(team, v, child, a, target[c % 2]);
+    const Child child = c == 0 ? first : c == 1 ? second : child_of<kD>(v, f, c);
+    if (c >= 2) find(c);
+    if (team.rank() == 0) team.wait(child.done, child.tasks * v.factor_epoch);
+    team.sync();
+    add_child(team, child, shared, place(c));
   }
+  if (f.num_children == 0) team.sync();
   const bool ok = factor_columns(team, a, pivots, rows);
   if (!ok && team.rank() == 0) *v.failed = v.factor_epoch;
   if (f.below > 0) write_update(team, v, f, a, pivots, rows);

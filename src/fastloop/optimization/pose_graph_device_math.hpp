@@ -162,7 +162,7 @@ FASTLOOP_HD inline MatrixFunction exp_integral(double theta_sq, double sigma) {
   if (theta_sq + sigma * sigma < 16) {
     double s = 1, u = 1, v = 0, w = 0, coefficient = 1;
     for (int k = 0; k < 60; ++k) {
-      coefficient /= k + 1;
+      coefficient *= 1.0 / (k + 1);
       f.c += coefficient * s;
       f.a += coefficient * v;
       f.b += coefficient * w;

@@ -364,6 +364,19 @@ TEST(PoseGraphDissection, SeparatesEveryGraph) {
   }
 }
 
+TEST(PoseGraphDissection, LeavesWithManyNeighboursAreCut) {
+  Random random(31);
+  int larger = 0;
+  for (int repeat = 0; repeat < 10; ++repeat) {
+    const block::Graph graph = random_sparse_graph(random, 300, 0.01);
+    const device::Dissection free = device::dissect(graph, 12), cut = device::dissect(graph, 12, 8);
+    expect_dissection_of(graph, cut);
+    EXPECT_GE(cut.size(), free.size());
+    larger += cut.size() > free.size();
+  }
+  EXPECT_GT(larger, 5);
+}
+
 TEST(PoseGraphDissection, ExtensionSeparatesTheNewGraph) {
   Random random(29);
   int extended = 0;

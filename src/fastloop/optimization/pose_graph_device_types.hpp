@@ -15,6 +15,8 @@ FASTLOOP_HD constexpr int tile_blocks(int block_size) {
 }
 /// Columns eliminated between two barriers.
 inline constexpr int kPanel = 8;
+/// Columns that one warp takes through a substitution without a barrier.
+inline constexpr int kStrip = 32;
 
 /// A dense matrix of (pivots + below) blocks and one more row, the right-hand side. Its pivots are
 /// eliminated and the rest is handed to the parent.

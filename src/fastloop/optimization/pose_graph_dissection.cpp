@@ -109,13 +109,15 @@ Dissection in_postorder(std::vector<Node>& nodes) {
 
 class Dissector {
  public:
-  Dissector(const block::Graph& graph, int leaf_size)
+  Dissector(const block::Graph& graph, int leaf_size, int max_front)
       : graph_(graph),
         leaf_size_(leaf_size),
+        max_front_(max_front),
         region_(graph.size(), -1),
         level_(graph.size(), -1),
         cover_(graph.size()),
-        in_cover_(graph.size(), 0) {}
+        in_cover_(graph.size(), 0),
+        counted_(graph.size(), 0) {}
 
   Dissection run() {
     std::vector<int> all(graph_.size());
@@ -182,7 +184,7 @@ class Dissector {
   /// A connected piece: either a leaf or a separator and what it separates.
   void cut(Piece& piece) {
     const int size = static_cast<int>(piece.vertices.size());
-    if (size <= leaf_size_) {
+    if (size <= leaf_size_ && size + outside(piece.vertices) <= max_front_) {
       add_node(std::move(piece.vertices), piece.parent);
       return;
     }
@@ -201,6 +203,21 @@ class Dissector {
     const int node = add_node(std::move(separator), piece.parent);
     split_components(std::move(low), node);
     split_components(std::move(high), node);
+  }
+
+  /// Neighbours of a piece outside it.
+  int outside(const std::vector<int>& vertices) {
+    int count = 0;
+    ++stamp_;
+    for (int v : vertices) {
+      for (int k = graph_.begin[v]; k < graph_.begin[v + 1]; ++k) {
+        const int u = graph_.neighbour[k];
+        if (region_[u] == region_[v] || counted_[u] == stamp_) continue;
+        counted_[u] = stamp_;
+        ++count;
+      }
+    }
+    return count;
   }
 
   /// The first level of the upper part: narrow and near the middle.
@@ -240,19 +257,21 @@ class Dissector {
   }
 
   const block::Graph& graph_;
-  int leaf_size_;
+  int leaf_size_, max_front_;
   std::vector<int> region_, level_, queue_, level_begin_, separator_;
   VertexCover cover_;
   std::vector<char> in_cover_;
   int next_region_ = 0;
+  std::vector<int> counted_;
+  int stamp_ = 0;
   std::vector<Piece> open_;
   std::vector<Node> nodes_;
 };
 
 }  // namespace
 
-Dissection dissect(const block::Graph& graph, int leaf_size) {
-  return Dissector(graph, leaf_size).run();
+Dissection dissect(const block::Graph& graph, int leaf_size, int max_front) {
+  return Dissector(graph, leaf_size, max_front).run();
 }
 
 bool extend_dissection(const block::Graph& graph, const std::vector<int>& node_of,

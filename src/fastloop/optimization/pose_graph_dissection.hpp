@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "fastloop/optimization/block_ordering.hpp"
@@ -18,9 +19,11 @@ struct Dissection {
 
 /// Cuts the graph at the narrow places of breadth-first levels until pieces have at most
 /// `leaf_size` vertices. On a chain this is cyclic reduction: a tree of logarithmic height, where
-/// the trees of minimum degree can be as high as the chain is long. The result depends on the graph
-/// alone.
-Dissection dissect(const block::Graph& graph, int leaf_size);
+/// the trees of minimum degree can be as high as the chain is long. Pieces that have more than
+/// `max_front` vertices together with their neighbours outside are cut further where that is
+/// possible. The result depends on the graph alone.
+Dissection dissect(const block::Graph& graph, int leaf_size,
+                   int max_front = std::numeric_limits<int>::max());
 
 /// Fits an older dissection to a graph that has grown or changed: `node_of` [n] tells the old node
 /// of every vertex, -1 for new ones, `parent` the old forest in postorder. New vertices are

@@ -17,13 +17,28 @@ struct SerialTeam {
   int warp() const { return 0; }
   int warps() const { return 1; }
   void sync() const {}
+  void sync_warp() const {}
   double sum(double value) const { return value; }
   double load(const double* p) const { return *p; }
+  void copy(double* to, const double* from) const { *to = *from; }
+  void finish_copies() const {}
   void wait(const std::int32_t* counter, int value) const {
     if (*counter < value) throw std::logic_error("a task was taken before one that it needs");
   }
   void signal(std::int32_t* counter) const { ++*counter; }
   void publish(std::int32_t* flag, int value) const { *flag = value; }
+  void solve_lower(const double* t, int stride, int width, double* x) const {
+    for (int c = 0; c < width; ++c) {
+      x[c] *= t[c * stride + c];
+      for (int r = c + 1; r < width; ++r) x[r] -= t[c * stride + r] * x[c];
+    }
+  }
+  void solve_upper(const double* t, int stride, int width, double* x) const {
+    for (int c = width - 1; c >= 0; --c) {
+      for (int r = c + 1; r < width; ++r) x[c] -= t[c * stride + r] * x[r];
+      x[c] *= t[c * stride + c];
+    }
+  }
 
   /// Products of tiles of large fronts.
   struct TileSum {
@@ -61,8 +76,8 @@ class HostExecutor : public StepExecutor {
     front_done_.assign(s.fronts.size(), 0);
     forward_done_ = descent_done_ = front_done_;
     tile_done_.assign(s.tile_flags, 0);
-    shared_.resize(std::max(
-        {s.factor_shared_doubles, s.solve_rows + s.solve_panel_doubles + 2, std::size_t{64}}));
+    shared_.resize(std::max({s.factor_shared_doubles, s.solve_rows + s.solve_panel_doubles + 2,
+                             std::size_t{kChunk * 35 + 1}}));
     for (auto& normal : normal_) normal.resize(35 * static_cast<std::size_t>(s.num_slots));
     epoch_ = forward_epoch_ = descent_epoch_ = failed_ = 0;
   }

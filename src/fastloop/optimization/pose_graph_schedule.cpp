@@ -293,6 +293,12 @@ class Builder {
       height[f.parent] = std::max(height[f.parent], height[k] + 1);
       columns[f.parent] = std::max(columns[f.parent], columns[k]);
     }
+    // Fronts take their children in this order, and so the one that is ready last comes last.
+    for (const Front& f : out_.fronts) {
+      const auto begin = out_.children.begin() + f.children;
+      std::stable_sort(begin, begin + f.num_children,
+                       [&](int a, int b) { return down[a] < down[b]; });
+    }
     std::vector<int> order(n);
     std::iota(order.begin(), order.end(), 0);
     std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return up[a] > up[b]; });
